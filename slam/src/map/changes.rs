@@ -1,0 +1,98 @@
+//! What changed in a map since it was last handed out.
+
+use super::{KeyframeId, Map, PointId, SubmapId};
+use geometry::Pose;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+/// The ids whose rows differ from the last time the changes were taken.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MapChanges {
+    /// Key frames that are new, moved, or see other landmarks than before.
+    pub keyframes: BTreeSet<KeyframeId>,
+    /// Key frames that were removed; [`Map::removed_keyframe`] says what they hang on now.
+    pub removed_keyframes: BTreeSet<KeyframeId>,
+    /// Points that are new, moved, or have other observations than before.
+    pub points: BTreeSet<PointId>,
+    /// Points that were removed.
+    pub removed_points: BTreeSet<PointId>,
+}
+
+impl MapChanges {
+    /// Whether nothing changed.
+    pub fn is_empty(&self) -> bool {
+        self.keyframes.is_empty()
+            && self.removed_keyframes.is_empty()
+            && self.points.is_empty()
+            && self.removed_points.is_empty()
+    }
+
+    /// Adds what changed afterwards; what was removed afterwards no longer counts as changed.
+    pub fn merge(&mut self, later: MapChanges) {
+        self.keyframes.extend(later.keyframes);
+        self.removed_keyframes.extend(later.removed_keyframes);
+        self.points.extend(later.points);
+        self.removed_points.extend(later.removed_points);
+        self.keyframes.retain(|id| !self.removed_keyframes.contains(id));
+        self.points.retain(|id| !self.removed_points.contains(id));
+    }
+}
+
+/// How tracking a frame ended, in one word, as kept with the trajectory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameState {
+    /// There was no map yet.
+    Initialising,
+    /// The pose is good.
+    Tracked,
+    /// The pose is poorly determined.
+    Weak,
+    /// There is no pose.
+    Lost,
+}
+
+/// One frame's place in the trajectory, relative to a key frame so that it moves when the map is corrected.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameRecord {
+    /// The client's number of the frame.
+    pub sequence: u64,
+    /// The client's time of the frame, nanoseconds.
+    pub timestamp_ns: i64,
+    /// How tracking ended.
+    pub state: FrameState,
+    /// The pose, where there is one.
+    pub pose: Option<FramePose>,
+    /// The pose was found after the frame was answered.
+    pub backfilled: bool,
+}
+
+/// A pose relative to a key frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FramePose {
+    /// The submap of the reference key frame.
+    pub submap: SubmapId,
+    /// The key frame the pose is relative to; it may have been removed since.
+    pub reference: KeyframeId,
+    /// The frame's camera from the reference key frame's camera; translation in map units.
+    pub camera_from_reference: Pose,
+}
+
+/// A consistent state of the map, with what differs from the update before. Made to be stored in one transaction.
+#[derive(Clone, Debug)]
+pub struct MapUpdate {
+    /// The whole map; cheap to hold, shares everything unchanged with other updates.
+    pub map: Arc<Map>,
+    /// What differs from the update before this one.
+    pub changes: MapChanges,
+    /// Frames to add to the trajectory, or to replace in it where the sequence is already there.
+    pub frames: Vec<FrameRecord>,
+}
+
+impl MapUpdate {
+    /// Joins this update with the one that follows it.
+    pub fn merge(&mut self, later: MapUpdate) {
+        self.map = later.map;
+        self.changes.merge(later.changes);
+        self.frames.extend(later.frames);
+    }
+}

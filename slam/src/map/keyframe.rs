@@ -1,0 +1,58 @@
+//! Key frames: the frames a map is made of.
+
+use super::ids::{KeyframeId, PointId, SubmapId};
+use crate::features::FrameFeatures;
+use geometry::Pose;
+use std::sync::Arc;
+
+/// A frame kept in the map, with what was measured in it and which landmarks it sees.
+#[derive(Clone, Debug)]
+pub struct Keyframe {
+    /// Identity within the session.
+    pub id: KeyframeId,
+    /// The submap whose frame of reference the pose is in.
+    pub submap: SubmapId,
+    /// The client's number of the frame.
+    pub sequence: u64,
+    /// The client's time of the frame, nanoseconds.
+    pub timestamp_ns: i64,
+    /// Pose; lengths in map units.
+    pub camera_from_world: Pose,
+    /// What the front end measured; never changes.
+    pub features: Arc<FrameFeatures>,
+    /// The landmark each keypoint observes, one entry per keypoint.
+    pub points: Vec<Option<PointId>>,
+    /// The key frame this one hangs on in the spanning tree; `None` for the first of a submap.
+    pub parent: Option<KeyframeId>,
+    /// Key frames that share at least [`crate::MappingConfig::min_covisible_points`] points with this one,
+    /// with how many, most first. Derived from the observations.
+    pub(crate) covisible: Vec<(KeyframeId, u32)>,
+}
+
+impl Keyframe {
+    /// Key frames that share points with this one and how many they share, most first.
+    pub fn covisible(&self) -> &[(KeyframeId, u32)] {
+        &self.covisible
+    }
+
+    /// The observed landmarks with the keypoints that see them.
+    pub fn observed_points(&self) -> impl Iterator<Item = (usize, PointId)> + '_ {
+        self.points.iter().enumerate().filter_map(|(keypoint_idx, point)| Some((keypoint_idx, (*point)?)))
+    }
+
+    /// How many keypoints see a landmark.
+    pub fn n_points(&self) -> usize {
+        self.points.iter().flatten().count()
+    }
+}
+
+/// Where a removed key frame was, so that frames that refer to it keep their place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RemovedKeyframe {
+    /// The removed key frame.
+    pub id: KeyframeId,
+    /// The key frame its pose now hangs on, which may have been removed later itself.
+    pub anchor: KeyframeId,
+    /// The removed key frame's pose relative to the anchor's at the time of removal.
+    pub camera_from_anchor: Pose,
+}

@@ -1,0 +1,119 @@
+//! The map: key frames, landmarks, and who sees what.
+//!
+//! A [`Map`] is a value. Copies are cheap and share everything that neither side has changed since, so the
+//! one owner works on its copy and hands out snapshots, and no reader ever waits.
+
+mod changes;
+mod ids;
+mod keyframe;
+mod paged;
+mod point;
+
+pub use changes::{FramePose, FrameRecord, FrameState, MapChanges, MapUpdate};
+pub use ids::{KeyframeId, PointId, SubmapId};
+pub use keyframe::{Keyframe, RemovedKeyframe};
+pub use point::{Observation, PointLandmark};
+
+use geometry::Pose;
+use paged::Paged;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// Key frames and landmarks of one session.
+#[derive(Clone, Debug, Default)]
+pub struct Map {
+    keyframes: Paged<Keyframe>,
+    points: Paged<PointLandmark>,
+    removed_keyframes: Arc<BTreeMap<KeyframeId, RemovedKeyframe>>,
+    next_keyframe_idx: usize,
+    next_point_idx: usize,
+    changes: MapChanges,
+}
+
+/// What a stored map consists of, to make a [`Map`] from again. The order of the entries does not matter.
+#[derive(Clone, Debug, Default)]
+pub struct MapParts {
+    /// Key frames, without their covisibility, which is derived.
+    pub keyframes: Vec<Keyframe>,
+    /// Points.
+    pub points: Vec<PointLandmark>,
+    /// Removed key frames that frames may still refer to.
+    pub removed_keyframes: Vec<RemovedKeyframe>,
+    /// Numbers above which ids are free; ids in use above them are respected too.
+    pub last_keyframe_id: u64,
+    /// See `last_keyframe_id`.
+    pub last_point_id: u64,
+}
+
+/// Why a stored map cannot be used, or what is wrong with a map in memory.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the map is inconsistent: {0}")]
+pub struct MapError(pub String);
+
+impl Map {
+    /// The key frame with this id, if it is in the map.
+    pub fn keyframe(&self, id: KeyframeId) -> Option<&Keyframe> {
+        self.keyframes.get(id.index())
+    }
+
+    /// The point with this id, if it is in the map.
+    pub fn point(&self, id: PointId) -> Option<&PointLandmark> {
+        self.points.get(id.index())
+    }
+
+    /// Every key frame, oldest first.
+    pub fn keyframes(&self) -> impl Iterator<Item = &Keyframe> {
+        self.keyframes.iter()
+    }
+
+    /// Every point, oldest first.
+    pub fn points(&self) -> impl Iterator<Item = &PointLandmark> {
+        self.points.iter()
+    }
+
+    /// How many key frames there are.
+    pub fn n_keyframes(&self) -> usize {
+        self.keyframes.len()
+    }
+
+    /// How many points there are.
+    pub fn n_points(&self) -> usize {
+        self.points.len()
+    }
+
+    /// What a removed key frame hangs on now.
+    pub fn removed_keyframe(&self, id: KeyframeId) -> Option<&RemovedKeyframe> {
+        self.removed_keyframes.get(&id)
+    }
+
+    /// Every removed key frame, in the order of their ids.
+    pub fn removed_keyframes(&self) -> impl Iterator<Item = &RemovedKeyframe> {
+        self.removed_keyframes.values()
+    }
+
+    /// The highest key frame and point ids ever given out (0 before the first).
+    pub fn last_ids(&self) -> (u64, u64) {
+        (self.next_keyframe_idx as u64, self.next_point_idx as u64)
+    }
+
+    /// Pose of a key frame that is or was in the map, following removed ones to what they hang on.
+    pub fn camera_from_world(&self, id: KeyframeId) -> Option<Pose> {
+        let mut camera_from_current = Pose::identity();
+        let mut current = id;
+        // An anchor is always older knowledge than what hangs on it, so the walk ends; the bound is for safety.
+        for _ in 0..=self.removed_keyframes.len() {
+            if let Some(keyframe) = self.keyframe(current) {
+                return Some(camera_from_current * keyframe.camera_from_world);
+            }
+            let removed = self.removed_keyframes.get(&current)?;
+            camera_from_current = camera_from_current * removed.camera_from_anchor;
+            current = removed.anchor;
+        }
+        None
+    }
+
+    /// The submaps that have key frames, in order.
+    pub fn submaps(&self) -> BTreeSet<SubmapId> {
+        self.keyframes().map(|keyframe| keyframe.submap).collect()
+    }
+}

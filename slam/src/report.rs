@@ -1,0 +1,155 @@
+//! What came of one frame: values with the measurements beside the thresholds they were held against.
+
+use crate::map::{FrameState, SubmapId};
+use geometry::Pose;
+
+/// Why there is no map yet. Its text is written for the person who holds the camera.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum InitialisationWait {
+    /// The first usable frame was kept; motion is needed.
+    #[error("first view kept; move the camera sideways")]
+    FirstView,
+    /// The image has too few corners.
+    #[error("too few features: {n_keypoints} keypoints, {n_required} needed; point the camera at more texture")]
+    TooFewFeatures {
+        /// Keypoints found.
+        n_keypoints: usize,
+        /// Keypoints needed.
+        n_required: usize,
+    },
+    /// The image has too little in common with the kept views.
+    #[error("too few matches: {n_matches} with the best earlier view, {n_required} needed; move more slowly")]
+    TooFewMatches {
+        /// Matches with the best kept view.
+        n_matches: usize,
+        /// Matches needed.
+        n_required: usize,
+    },
+    /// The camera has hardly moved, or only turned.
+    #[error("too little parallax: {parallax_deg:.2} degrees, {required_deg:.2} needed; move sideways, do not only turn")]
+    TooLittleParallax {
+        /// Parallax of the best hypothesis, degrees.
+        parallax_deg: f64,
+        /// Parallax needed, degrees.
+        required_deg: f64,
+    },
+    /// Two motions explain the images equally well, or none does.
+    #[error("ambiguous motion: {n_agreeing} of {n_matches} matches agree with one motion and {n_runner_up} with another")]
+    Ambiguous {
+        /// Matches that agree with the best motion.
+        n_agreeing: usize,
+        /// Matches that agree with the second best.
+        n_runner_up: usize,
+        /// Matches in all.
+        n_matches: usize,
+    },
+}
+
+/// Why a frame has no pose although there is a map.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum LostReason {
+    /// The image shows nothing to hold on to.
+    #[error("too few features: {n_keypoints} keypoints, {n_required} needed")]
+    TooFewFeatures {
+        /// Keypoints found.
+        n_keypoints: usize,
+        /// Keypoints needed.
+        n_required: usize,
+    },
+    /// Too few landmarks were found again.
+    #[error("too few landmarks found again: {n_inliers}, {n_required} needed")]
+    TooFewInliers {
+        /// Landmarks that agree with the best pose.
+        n_inliers: usize,
+        /// Landmarks needed.
+        n_required: usize,
+    },
+    /// No place in the map looks like the image.
+    #[error("looking for a known place: {n_candidates} candidates, none fits")]
+    NotRelocalised {
+        /// Places that were tried.
+        n_candidates: usize,
+    },
+}
+
+/// What tracking one frame came to. Losing track is an outcome, not an error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TrackingOutcome {
+    /// There is no map yet.
+    Initialising(InitialisationWait),
+    /// The pose is good.
+    Tracked,
+    /// The pose is poorly determined: fewer inliers than a key frame may rest on.
+    Weak {
+        /// Landmarks that agree with the pose.
+        n_inliers: usize,
+        /// Landmarks a good pose needs.
+        n_required: usize,
+    },
+    /// There is no pose.
+    Lost(LostReason),
+}
+
+impl TrackingOutcome {
+    /// The outcome in one word.
+    pub fn state(&self) -> FrameState {
+        match self {
+            Self::Initialising(_) => FrameState::Initialising,
+            Self::Tracked => FrameState::Tracked,
+            Self::Weak { .. } => FrameState::Weak,
+            Self::Lost(_) => FrameState::Lost,
+        }
+    }
+
+    /// The reason in a plain sentence; empty for a good pose.
+    pub fn reason(&self) -> String {
+        match self {
+            Self::Initialising(wait) => wait.to_string(),
+            Self::Tracked => String::new(),
+            Self::Weak { n_inliers, n_required } => {
+                format!("weak pose: {n_inliers} landmarks agree, {n_required} needed for a good one")
+            }
+            Self::Lost(reason) => reason.to_string(),
+        }
+    }
+}
+
+/// Wall time a named stage took.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StageTime {
+    /// Name of the stage, such as `extract`.
+    pub name: &'static str,
+    /// Wall time, nanoseconds.
+    pub wall_ns: u64,
+}
+
+/// What came of one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameReport {
+    /// The client's number of the frame.
+    pub sequence: u64,
+    /// The client's time of the frame, nanoseconds.
+    pub timestamp_ns: i64,
+    /// How tracking ended.
+    pub outcome: TrackingOutcome,
+    /// The camera's pose in the world, where there is one; map units.
+    pub world_from_camera: Option<Pose>,
+    /// The submap the pose is in.
+    pub submap: SubmapId,
+    /// Keypoints found in the image.
+    pub n_keypoints: usize,
+    /// Points that agree with the pose.
+    pub n_inlier_points: usize,
+    /// Lines that agree with the pose.
+    pub n_inlier_lines: usize,
+    /// The frame became a key frame.
+    pub is_keyframe: bool,
+    /// The pose was found by recognising the place, not by following the motion.
+    pub relocalised: bool,
+    /// Wall times by stage in the order they ran; empty without a clock.
+    pub stages: Vec<StageTime>,
+    /// Wall time of the whole frame on the tracking thread, nanoseconds; 0 without a clock.
+    pub wall_ns: u64,
+    /// CPU time of the tracking thread, nanoseconds; 0 without a clock.
+    pub cpu_ns: u64,
+}
