@@ -1,0 +1,341 @@
+//! Real cameras: a pinhole behind a lens, validated.
+
+use nalgebra::{Matrix2x3, Vector2, Vector3};
+use thiserror::Error;
+
+use crate::Pinhole;
+use crate::distortion::{Distortion, Fov, KannalaBrandt, Radtan};
+
+/// Rays further than this from the optical axis are not undistorted: at 80 degrees one pixel of a fisheye image
+/// already covers 33 of the ideal pinhole, and at 90 the pinhole has no image at all.
+pub const MAX_UNDISTORTED_ANGLE_DEG: f64 = 80.0;
+
+/// Largest width and height accepted, in pixels.
+const MAX_SIDE_PX: u32 = 16_384;
+
+/// Samples along each side of the image when its border is examined.
+const BORDER_SAMPLES: u32 = 64;
+
+/// The family of a camera's lens distortion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum CameraModel {
+    /// No distortion, no coefficients.
+    Pinhole,
+    /// Brown-Conrady, with 4, 5 or 8 coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6]]`.
+    Radtan,
+    /// Equidistant fisheye with four coefficients `k1 k2 k3 k4`.
+    KannalaBrandt,
+    /// Field of view with one coefficient `ω`, in radians.
+    Fov,
+}
+
+impl CameraModel {
+    /// The name users write.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pinhole => "pinhole",
+            Self::Radtan => "radtan",
+            Self::KannalaBrandt => "kannala-brandt",
+            Self::Fov => "fov",
+        }
+    }
+
+    /// The numbers of distortion coefficients the model can have.
+    pub fn coefficient_counts(self) -> &'static [usize] {
+        match self {
+            Self::Pinhole => &[0],
+            Self::Radtan => &[4, 5, 8],
+            Self::KannalaBrandt => &[4],
+            Self::Fov => &[1],
+        }
+    }
+}
+
+/// A calibration as users give it, not yet checked. Lengths are pixels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraParameters {
+    /// The family of the distortion.
+    pub model: CameraModel,
+    /// Image width.
+    pub width: u32,
+    /// Image height.
+    pub height: u32,
+    /// Horizontal focal length.
+    pub fx: f64,
+    /// Vertical focal length.
+    pub fy: f64,
+    /// Principal point, horizontal; zero is the centre of the leftmost pixel.
+    pub cx: f64,
+    /// Principal point, vertical; zero is the centre of the topmost pixel.
+    pub cy: f64,
+    /// Coefficients of the model, see [`CameraModel`].
+    pub distortion: Vec<f64>,
+}
+
+/// Why a calibration was refused: a sentence that names the field.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{message}")]
+pub struct CameraError {
+    /// The field of [`CameraParameters`] at fault.
+    pub field: &'static str,
+    /// A sentence for the user.
+    pub message: String,
+}
+
+/// A camera whose calibration has been checked: every pixel of the image, or at least everything within
+/// [`MAX_UNDISTORTED_ANGLE_DEG`] of the axis, belongs to exactly one ray.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {
+    parameters: CameraParameters,
+    pinhole: Pinhole,
+    distortion: Distortion,
+}
+
+impl Camera {
+    /// Checks a calibration.
+    ///
+    /// # Errors
+    /// A [`CameraError`] that names the first field that is wrong.
+    pub fn new(parameters: CameraParameters) -> Result<Self, CameraError> {
+        check_numbers(&parameters)?;
+        let camera = Self::unchecked(parameters);
+        camera.check_invertible()?;
+        Ok(camera)
+    }
+
+    fn unchecked(parameters: CameraParameters) -> Self {
+        let CameraParameters { fx, fy, cx, cy, .. } = parameters;
+        let d = &parameters.distortion;
+        let distortion = match parameters.model {
+            CameraModel::Pinhole => Distortion::None,
+            CameraModel::Radtan => Distortion::Radtan(Radtan::new(d, MAX_UNDISTORTED_ANGLE_DEG.to_radians())),
+            CameraModel::KannalaBrandt => {
+                Distortion::KannalaBrandt(KannalaBrandt::new([d[0], d[1], d[2], d[3]]))
+            }
+            CameraModel::Fov => Distortion::Fov(Fov::new(d[0])),
+        };
+        Self { pinhole: Pinhole { fx, fy, cx, cy }, distortion, parameters }
+    }
+
+    /// The calibration.
+    pub fn parameters(&self) -> &CameraParameters {
+        &self.parameters
+    }
+
+    /// Image width in pixels.
+    #[inline]
+    pub fn width(&self) -> u32 {
+        self.parameters.width
+    }
+
+    /// Image height in pixels.
+    #[inline]
+    pub fn height(&self) -> u32 {
+        self.parameters.height
+    }
+
+    /// The ideal camera with the same focal lengths and principal point.
+    #[inline]
+    pub fn pinhole(&self) -> Pinhole {
+        self.pinhole
+    }
+
+    /// Whether this camera differs from [`pinhole`](Self::pinhole).
+    #[inline]
+    pub fn is_distorted(&self) -> bool {
+        match self.parameters.model {
+            CameraModel::Pinhole => false,
+            CameraModel::Radtan => self.parameters.distortion.iter().any(|k| *k != 0.0),
+            CameraModel::KannalaBrandt | CameraModel::Fov => true,
+        }
+    }
+
+    /// The pixel where a point in the camera frame is seen, which may be outside the image. `None` if it is
+    /// behind the camera or outside the field where the model is one-to-one.
+    #[inline]
+    pub fn project(&self, point_in_camera: &Vector3<f64>) -> Option<Vector2<f64>> {
+        self.distortion.project(point_in_camera).map(|p| self.pinhole.denormalised(&p))
+    }
+
+    /// As [`project`](Self::project), with the derivative of the pixel by the point.
+    #[inline]
+    pub fn project_with_jacobian(
+        &self,
+        point_in_camera: &Vector3<f64>,
+    ) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+        let (p, mut jacobian) = self.distortion.project_with_jacobian(point_in_camera)?;
+        for column in 0..3 {
+            jacobian[(0, column)] *= self.pinhole.fx;
+            jacobian[(1, column)] *= self.pinhole.fy;
+        }
+        Some((self.pinhole.denormalised(&p), jacobian))
+    }
+
+    /// The unit vector, in the camera frame, towards what is seen at `pixel`. `None` where the model has no
+    /// unique answer.
+    #[inline]
+    pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
+        self.distortion.unproject(&self.pinhole.normalised(pixel))
+    }
+
+    /// Where the ideal pinhole sees what this camera sees at `pixel`. `None` further than
+    /// [`MAX_UNDISTORTED_ANGLE_DEG`] from the axis.
+    #[inline]
+    pub fn undistort(&self, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
+        if self.distortion == Distortion::None {
+            return (pixel.x.is_finite() && pixel.y.is_finite()).then_some(*pixel);
+        }
+        let bearing = self.unproject(pixel)?;
+        (bearing.z > MAX_UNDISTORTED_ANGLE_DEG.to_radians().cos()).then(|| self.pinhole.project(&bearing))
+    }
+
+    /// Where this camera sees what the ideal pinhole sees at `pixel`; the inverse of
+    /// [`undistort`](Self::undistort).
+    #[inline]
+    pub fn distort(&self, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let p = self.pinhole.normalised(pixel);
+        self.project(&Vector3::new(p.x, p.y, 1.0))
+    }
+
+    /// Least and greatest coordinates of the undistorted image, from its border. Parts of the border outside
+    /// the usable field count as if they were at its edge.
+    pub fn undistorted_bounds(&self) -> (Vector2<f64>, Vector2<f64>) {
+        let max_radius = self.distortion.field_limit().min(MAX_UNDISTORTED_ANGLE_DEG.to_radians()).tan();
+        let mut low = Vector2::repeat(f64::INFINITY);
+        let mut high = Vector2::repeat(f64::NEG_INFINITY);
+        for pixel in self.border() {
+            let undistorted = self.undistort(&pixel).unwrap_or_else(|| {
+                let outwards = self.pinhole.normalised(&pixel).normalize();
+                self.pinhole.denormalised(&(outwards * max_radius))
+            });
+            low = low.inf(&undistorted);
+            high = high.sup(&undistorted);
+        }
+        (low, high)
+    }
+
+    /// Whether `pixel`, of the distorted image, lies in the image.
+    #[inline]
+    pub fn contains(&self, pixel: &Vector2<f64>) -> bool {
+        pixel.x >= -0.5
+            && pixel.y >= -0.5
+            && pixel.x < f64::from(self.parameters.width) - 0.5
+            && pixel.y < f64::from(self.parameters.height) - 0.5
+    }
+
+    /// The camera of the image resized by `factor_x` and `factor_y`, where pixel `u` becomes
+    /// `(u + 0.5) factor - 0.5`. Width and height are rounded to the nearest pixel and at least one.
+    ///
+    /// # Panics
+    /// If a factor is not finite and positive.
+    pub fn scaled(&self, factor_x: f64, factor_y: f64) -> Self {
+        assert!(
+            factor_x.is_finite() && factor_x > 0.0 && factor_y.is_finite() && factor_y > 0.0,
+            "an image cannot be resized by {factor_x} x {factor_y}"
+        );
+        let side = |length: u32, factor: f64| (f64::from(length) * factor).round().max(1.0) as u32;
+        let mut parameters = self.parameters.clone();
+        parameters.width = side(parameters.width, factor_x);
+        parameters.height = side(parameters.height, factor_y);
+        parameters.fx *= factor_x;
+        parameters.fy *= factor_y;
+        parameters.cx = (parameters.cx + 0.5) * factor_x - 0.5;
+        parameters.cy = (parameters.cy + 0.5) * factor_y - 0.5;
+        Self::unchecked(parameters)
+    }
+
+    /// Pixels along the image's border, corners included.
+    fn border(&self) -> impl Iterator<Item = Vector2<f64>> {
+        let (left, top) = (-0.5, -0.5);
+        let (right, bottom) =
+            (f64::from(self.parameters.width) - 0.5, f64::from(self.parameters.height) - 0.5);
+        (0..=BORDER_SAMPLES).flat_map(move |i| {
+            let share = f64::from(i) / f64::from(BORDER_SAMPLES);
+            let x = left + share * (right - left);
+            let y = top + share * (bottom - top);
+            [Vector2::new(x, top), Vector2::new(x, bottom), Vector2::new(left, y), Vector2::new(right, y)]
+        })
+    }
+
+    fn check_invertible(&self) -> Result<(), CameraError> {
+        if self.distortion.field_limit() >= MAX_UNDISTORTED_ANGLE_DEG.to_radians() - 1e-9 {
+            return Ok(());
+        }
+        // The radial part folds somewhere. If the border is inside that circle, so is the image.
+        match self.border().find(|pixel| self.unproject(pixel).is_none()) {
+            None => Ok(()),
+            Some(pixel) => Err(error(
+                "distortion",
+                format!(
+                    "distortion cannot be inverted over the whole image: the {} coefficients fold back {:.1} \
+                     degrees from the axis, inside the image (pixel {:.0}, {:.0})",
+                    self.parameters.model.name(),
+                    self.distortion.field_limit().to_degrees(),
+                    pixel.x,
+                    pixel.y
+                ),
+            )),
+        }
+    }
+}
+
+fn error(field: &'static str, message: String) -> CameraError {
+    CameraError { field, message }
+}
+
+fn check_numbers(p: &CameraParameters) -> Result<(), CameraError> {
+    for (field, side) in [("width", p.width), ("height", p.height)] {
+        if !(1..=MAX_SIDE_PX).contains(&side) {
+            return Err(error(
+                field,
+                format!("{field} must be between 1 and {MAX_SIDE_PX} pixels, not {side}"),
+            ));
+        }
+    }
+    for (field, focal) in [("fx", p.fx), ("fy", p.fy)] {
+        if !(focal.is_finite() && focal > 0.0) {
+            return Err(error(
+                field,
+                format!("{field} must be a positive focal length in pixels, not {focal}"),
+            ));
+        }
+    }
+    for (field, centre, side) in [("cx", p.cx, p.width), ("cy", p.cy, p.height)] {
+        let end = f64::from(side) - 0.5;
+        if !(centre >= -0.5 && centre <= end) {
+            return Err(error(
+                field,
+                format!("{field} must be inside the image, between -0.5 and {end}, not {centre}"),
+            ));
+        }
+    }
+    check_coefficients(p)
+}
+
+fn check_coefficients(p: &CameraParameters) -> Result<(), CameraError> {
+    let counts = p.model.coefficient_counts();
+    if !counts.contains(&p.distortion.len()) {
+        let allowed = counts.iter().map(ToString::to_string).collect::<Vec<_>>().join(" or ");
+        return Err(error(
+            "distortion",
+            format!(
+                "distortion of the {} model must have {allowed} coefficients, not {}",
+                p.model.name(),
+                p.distortion.len()
+            ),
+        ));
+    }
+    if let Some((i, k)) = p.distortion.iter().enumerate().find(|(_, k)| !k.is_finite()) {
+        return Err(error("distortion", format!("distortion coefficient {i} must be finite, not {k}")));
+    }
+    if p.model == CameraModel::Fov && !(1e-6..3.1).contains(&p.distortion[0]) {
+        return Err(error(
+            "distortion",
+            format!(
+                "distortion of the fov model must be an angle between 0.000001 and 3.1 radians, not {}",
+                p.distortion[0]
+            ),
+        ));
+    }
+    Ok(())
+}

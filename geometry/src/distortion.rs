@@ -1,0 +1,387 @@
+//! How each lens model bends rays: maps between bearings and the *distorted plane*, which is the image before
+//! focal lengths and principal point are applied.
+
+use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
+
+/// Rounds of Newton's method before a point counts as not invertible. From the starting points used here four
+/// to six reach rounding.
+const MAX_NEWTON_ROUNDS: usize = 30;
+
+/// Newton's method stops when a step is below this, in the distorted plane: `1e-9` of a pixel.
+const NEWTON_TOLERANCE: f64 = 1e-12;
+
+/// Steps in which the range of a radial function is searched for the place where it stops rising.
+const MONOTONE_SCAN_STEPS: usize = 2000;
+
+/// A radial function counts as rising while its slope exceeds this. Below it one pixel of the image would cover
+/// a thousand of the undistorted one.
+const MIN_RADIAL_SLOPE: f64 = 1e-3;
+
+/// A lens model with its coefficients.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Distortion {
+    None,
+    Radtan(Radtan),
+    KannalaBrandt(KannalaBrandt),
+    Fov(Fov),
+}
+
+impl Distortion {
+    /// The point of the distorted plane where `point` (camera frame) is seen. `None` outside the field where
+    /// the model is one-to-one.
+    #[inline]
+    pub(crate) fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        match self {
+            Self::None => on_plane(point),
+            Self::Radtan(model) => {
+                let p = on_plane(point)?;
+                (p.norm_squared() < model.limit * model.limit).then(|| model.distort(&p))
+            }
+            Self::KannalaBrandt(model) => model.project(point),
+            Self::Fov(model) => Some(model.distort(&on_plane(point)?)),
+        }
+    }
+
+    /// As [`project`](Self::project), with the derivative by `point`.
+    #[inline]
+    pub(crate) fn project_with_jacobian(
+        &self,
+        point: &Vector3<f64>,
+    ) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+        let (distorted, d_distorted_d_plane, plane) = match self {
+            Self::None => {
+                let p = on_plane(point)?;
+                (p, Matrix2::identity(), p)
+            }
+            Self::Radtan(model) => {
+                let p = on_plane(point)?;
+                if p.norm_squared() >= model.limit * model.limit {
+                    return None;
+                }
+                (model.distort(&p), model.jacobian(&p), p)
+            }
+            Self::Fov(model) => {
+                let p = on_plane(point)?;
+                (model.distort(&p), model.jacobian(&p), p)
+            }
+            Self::KannalaBrandt(model) => return Some((model.project(point)?, model.jacobian(point))),
+        };
+        let inverse_z = 1.0 / point.z;
+        let d_plane_d_point =
+            Matrix2x3::new(inverse_z, 0.0, -plane.x * inverse_z, 0.0, inverse_z, -plane.y * inverse_z);
+        Some((distorted, d_distorted_d_plane * d_plane_d_point))
+    }
+
+    /// The unit vector seen at `distorted`, a point of the distorted plane. `None` outside the field where the
+    /// model is one-to-one.
+    #[inline]
+    pub(crate) fn unproject(&self, distorted: &Vector2<f64>) -> Option<Vector3<f64>> {
+        let plane = match self {
+            Self::None => *distorted,
+            Self::Radtan(model) => model.undistort(distorted)?,
+            Self::Fov(model) => model.undistort(distorted)?,
+            Self::KannalaBrandt(model) => return model.unproject(distorted),
+        };
+        let bearing = Vector3::new(plane.x, plane.y, 1.0).normalize();
+        bearing.iter().all(|x| x.is_finite()).then_some(bearing)
+    }
+
+    /// The angle from the optical axis up to which the model is one-to-one.
+    pub(crate) fn field_limit(&self) -> f64 {
+        match self {
+            Self::None | Self::Fov(_) => std::f64::consts::FRAC_PI_2,
+            Self::Radtan(model) => model.limit.atan(),
+            Self::KannalaBrandt(model) => model.limit,
+        }
+    }
+}
+
+#[inline]
+fn on_plane(point: &Vector3<f64>) -> Option<Vector2<f64>> {
+    if point.z > 0.0 {
+        let p = Vector2::new(point.x / point.z, point.y / point.z);
+        (p.x.is_finite() && p.y.is_finite()).then_some(p)
+    } else {
+        None
+    }
+}
+
+/// Where in `(0, end]` the function of slope `slope` stops rising, or `end` if it does not.
+fn rising_until(end: f64, slope: impl Fn(f64) -> f64) -> f64 {
+    let rising = |x: f64| slope(x) > MIN_RADIAL_SLOPE;
+    let step = end / MONOTONE_SCAN_STEPS as f64;
+    let Some(first_bad) = (0..=MONOTONE_SCAN_STEPS).find(|i| !rising(*i as f64 * step)) else {
+        return end;
+    };
+    if first_bad == 0 {
+        return 0.0;
+    }
+    let (mut good, mut bad) = ((first_bad - 1) as f64 * step, first_bad as f64 * step);
+    for _ in 0..50 {
+        let middle = 0.5 * (good + bad);
+        if rising(middle) { good = middle } else { bad = middle }
+    }
+    good
+}
+
+/// Solves `value(x) = target` for a function that rises over `[0, end]`, with `value(0) = 0`. Newton's method,
+/// with a bisection step wherever Newton would leave the bracket.
+#[inline]
+fn invert_rising(target: f64, end: f64, value_and_slope: impl Fn(f64) -> (f64, f64)) -> Option<f64> {
+    if !(target >= 0.0 && target <= value_and_slope(end).0) {
+        return None;
+    }
+    let (mut low, mut high) = (0.0, end);
+    let mut x = target.min(end);
+    for _ in 0..MAX_NEWTON_ROUNDS {
+        let (value, slope) = value_and_slope(x);
+        let error = value - target;
+        if error > 0.0 {
+            high = x
+        } else {
+            low = x
+        }
+        let newton = x - error / slope;
+        let next = if newton >= low && newton <= high { newton } else { 0.5 * (low + high) };
+        let step = (next - x).abs();
+        x = next;
+        if step <= NEWTON_TOLERANCE * (1.0 + x) {
+            break;
+        }
+    }
+    Some(x)
+}
+
+/// Brown's model, with OpenCV's rational extension:
+/// `p' = p (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶) + tangential(p1, p2)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Radtan {
+    /// `k1, k2, k3`.
+    numerator: [f64; 3],
+    /// `k4, k5, k6`.
+    denominator: [f64; 3],
+    p1: f64,
+    p2: f64,
+    /// The radius in the plane `z = 1` up to which the radial part rises.
+    limit: f64,
+}
+
+impl Radtan {
+    /// `coefficients` in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6]]`; those left out are zero. `max_angle` is
+    /// the largest angle from the axis that will be asked for.
+    pub(crate) fn new(coefficients: &[f64], max_angle: f64) -> Self {
+        let c = |i: usize| coefficients.get(i).copied().unwrap_or(0.0);
+        let mut model = Self {
+            numerator: [c(0), c(1), c(4)],
+            denominator: [c(5), c(6), c(7)],
+            p1: c(2),
+            p2: c(3),
+            limit: max_angle.tan(),
+        };
+        model.limit = rising_until(model.limit, |r| model.radial_value_and_slope(r).1);
+        model
+    }
+
+    /// The radial factor and its derivative by `r²`.
+    #[inline]
+    fn factor(&self, r2: f64) -> (f64, f64) {
+        let [k1, k2, k3] = self.numerator;
+        let [k4, k5, k6] = self.denominator;
+        let top = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        let d_top = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
+        let bottom = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
+        let d_bottom = k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6);
+        let factor = top / bottom;
+        (factor, (d_top - factor * d_bottom) / bottom)
+    }
+
+    #[inline]
+    fn radial_value_and_slope(&self, r: f64) -> (f64, f64) {
+        let r2 = r * r;
+        let (factor, d_factor) = self.factor(r2);
+        (r * factor, factor + 2.0 * r2 * d_factor)
+    }
+
+    #[inline]
+    fn distort(&self, p: &Vector2<f64>) -> Vector2<f64> {
+        let (x, y) = (p.x, p.y);
+        let r2 = x * x + y * y;
+        let (factor, _) = self.factor(r2);
+        Vector2::new(
+            x * factor + 2.0 * self.p1 * x * y + self.p2 * (r2 + 2.0 * x * x),
+            y * factor + self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y,
+        )
+    }
+
+    #[inline]
+    fn jacobian(&self, p: &Vector2<f64>) -> Matrix2<f64> {
+        let (x, y) = (p.x, p.y);
+        let (factor, d_factor) = self.factor(x * x + y * y);
+        let cross = 2.0 * x * y * d_factor + 2.0 * self.p1 * x + 2.0 * self.p2 * y;
+        Matrix2::new(
+            factor + 2.0 * x * x * d_factor + 2.0 * self.p1 * y + 6.0 * self.p2 * x,
+            cross,
+            cross,
+            factor + 2.0 * y * y * d_factor + 6.0 * self.p1 * y + 2.0 * self.p2 * x,
+        )
+    }
+
+    /// Inverts the radial part safely first, then the whole by Newton's method from there.
+    #[inline]
+    fn undistort(&self, distorted: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let radius = distorted.norm();
+        if radius < 1e-12 && self.p1 == 0.0 && self.p2 == 0.0 {
+            return Some(*distorted);
+        }
+        let undistorted_radius = invert_rising(radius, self.limit, |r| self.radial_value_and_slope(r))?;
+        let mut p = if radius > 0.0 { distorted * (undistorted_radius / radius) } else { *distorted };
+        if self.p1 == 0.0 && self.p2 == 0.0 {
+            return Some(p);
+        }
+        for _ in 0..MAX_NEWTON_ROUNDS {
+            let jacobian = self.jacobian(&p);
+            if jacobian.determinant() <= 0.0 {
+                return None;
+            }
+            let step = jacobian.try_inverse()? * (self.distort(&p) - distorted);
+            p -= step;
+            if step.norm_squared() < NEWTON_TOLERANCE * NEWTON_TOLERANCE * (1.0 + p.norm_squared()) {
+                return (p.norm_squared() < self.limit * self.limit).then_some(p);
+            }
+        }
+        None
+    }
+}
+
+/// The equidistant fisheye [Kannala & Brandt 2006], as in OpenCV's `fisheye`:
+/// `r = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)`, `θ` the angle from the axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct KannalaBrandt {
+    k: [f64; 4],
+    /// The angle up to which `r` rises.
+    limit: f64,
+}
+
+impl KannalaBrandt {
+    /// Angles above this are never used: the image of the point straight behind is a circle.
+    const MAX_ANGLE: f64 = 3.0;
+
+    pub(crate) fn new(k: [f64; 4]) -> Self {
+        let mut model = Self { k, limit: Self::MAX_ANGLE };
+        model.limit = rising_until(Self::MAX_ANGLE, |theta| model.radius_and_slope(theta).1);
+        model
+    }
+
+    #[inline]
+    fn radius_and_slope(&self, theta: f64) -> (f64, f64) {
+        let [k1, k2, k3, k4] = self.k;
+        let t = theta * theta;
+        (
+            theta * (1.0 + t * (k1 + t * (k2 + t * (k3 + t * k4)))),
+            1.0 + t * (3.0 * k1 + t * (5.0 * k2 + t * (7.0 * k3 + t * 9.0 * k4))),
+        )
+    }
+
+    #[inline]
+    fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        let rho = point.x.hypot(point.y);
+        let theta = rho.atan2(point.z);
+        if !(theta < self.limit && point.norm_squared() > 0.0 && point.z.is_finite() && rho.is_finite()) {
+            return None;
+        }
+        // Towards the axis r/ρ goes to 1/z.
+        let scale = if rho < 1e-9 * point.z { 1.0 / point.z } else { self.radius_and_slope(theta).0 / rho };
+        Some(Vector2::new(point.x * scale, point.y * scale))
+    }
+
+    /// The derivative of [`project`](Self::project) at a point where it is defined.
+    #[inline]
+    fn jacobian(&self, point: &Vector3<f64>) -> Matrix2x3<f64> {
+        let (x, y, z) = (point.x, point.y, point.z);
+        let rho2 = x * x + y * y;
+        let rho = rho2.sqrt();
+        if rho < 1e-9 * z {
+            let inverse_z = 1.0 / z;
+            let (u, v) = (x * inverse_z, y * inverse_z);
+            return Matrix2x3::new(inverse_z, 0.0, -u * inverse_z, 0.0, inverse_z, -v * inverse_z);
+        }
+        let (radius, slope) = self.radius_and_slope(rho.atan2(z));
+        let d2 = rho2 + z * z;
+        // p = (x, y) r/ρ;  dθ/dρ = z/d²,  dθ/dz = -ρ/d².
+        let scale = radius / rho;
+        let d_scale_over_rho = (slope * z / d2 - scale) / rho2;
+        let cross = x * y * d_scale_over_rho;
+        Matrix2x3::new(
+            scale + x * x * d_scale_over_rho,
+            cross,
+            -slope * x / d2,
+            cross,
+            scale + y * y * d_scale_over_rho,
+            -slope * y / d2,
+        )
+    }
+
+    #[inline]
+    fn unproject(&self, distorted: &Vector2<f64>) -> Option<Vector3<f64>> {
+        let radius = distorted.norm();
+        let theta = invert_rising(radius, self.limit, |theta| self.radius_and_slope(theta))?;
+        let (sin, cos) = theta.sin_cos();
+        let scale = if radius < 1e-12 { 1.0 } else { sin / radius };
+        Some(Vector3::new(distorted.x * scale, distorted.y * scale, cos))
+    }
+}
+
+/// The field-of-view model [Devernay & Faugeras 2001]: `r' = atan(2 r tan(ω/2)) / ω`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Fov {
+    omega: f64,
+    /// `2 tan(ω/2)`.
+    stretch: f64,
+}
+
+impl Fov {
+    pub(crate) fn new(omega: f64) -> Self {
+        Self { omega, stretch: 2.0 * (0.5 * omega).tan() }
+    }
+
+    /// `r'/r` and its derivative by `r`, divided by `r`.
+    #[inline]
+    fn factor(&self, r2: f64) -> (f64, f64) {
+        let s = self.stretch;
+        let a2 = s * s * r2;
+        if a2 < 1e-6 {
+            // atan(a)/a = 1 - a²/3 + a⁴/5.
+            let base = s / self.omega;
+            return (
+                base * (1.0 - a2 / 3.0 * (1.0 - a2 * 0.6)),
+                base * s * s * (-2.0 / 3.0 + a2 * (0.8 - a2 * 6.0 / 7.0)),
+            );
+        }
+        let r = r2.sqrt();
+        let distorted_radius = (s * r).atan() / self.omega;
+        let slope = s / (self.omega * (1.0 + a2));
+        (distorted_radius / r, (slope - distorted_radius / r) / r2)
+    }
+
+    #[inline]
+    fn distort(&self, p: &Vector2<f64>) -> Vector2<f64> {
+        p * self.factor(p.norm_squared()).0
+    }
+
+    #[inline]
+    fn jacobian(&self, p: &Vector2<f64>) -> Matrix2<f64> {
+        let (factor, d_factor_over_r) = self.factor(p.norm_squared());
+        Matrix2::identity() * factor + p * p.transpose() * d_factor_over_r
+    }
+
+    #[inline]
+    fn undistort(&self, distorted: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let radius = distorted.norm();
+        let angle = radius * self.omega;
+        if angle.is_nan() || angle >= std::f64::consts::FRAC_PI_2 {
+            return None;
+        }
+        let factor = if angle < 1e-9 { self.omega } else { angle.tan() / radius };
+        Some(distorted * (factor / self.stretch))
+    }
+}
