@@ -1,0 +1,272 @@
+//! ORB features: FAST corners over a scale pyramid, spread over the image, oriented by the intensity centroid and
+//! described by steered BRIEF [Rublee et al., "ORB: an efficient alternative to SIFT or SURF", ICCV 2011].
+
+mod brief;
+mod fast;
+mod orientation;
+mod spread;
+
+use crate::{GrayImage, Pyramid};
+
+/// A described place in an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Keypoint {
+    /// Column, pixels of level 0; the centre of the left-most pixel is 0.
+    pub x: f32,
+    /// Row, pixels of level 0; the centre of the top-most pixel is 0.
+    pub y: f32,
+    /// Pyramid level it was found at, 0 the finest.
+    pub octave: u8,
+    /// Orientation, radians in [0, 2 pi), from x towards y (clockwise on the screen).
+    pub angle: f32,
+    /// Corner strength: the largest FAST threshold at which it is still a corner, grey levels.
+    pub response: f32,
+}
+
+/// 256 binary tests on the surroundings of a keypoint.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Descriptor(
+    /// Test `i` is bit `i % 64` of word `i / 64`.
+    pub [u64; 4],
+);
+
+impl Descriptor {
+    /// Bits.
+    pub const N_BITS: u32 = 256;
+
+    /// Hamming distance, 0 to 256 bits.
+    #[inline]
+    pub fn distance(&self, other: &Self) -> u32 {
+        self.0.iter().zip(&other.0).map(|(a, b)| (a ^ b).count_ones()).sum()
+    }
+
+    /// Bit `index`; panics from 256 on.
+    #[inline]
+    pub fn bit(&self, index: u32) -> bool {
+        self.0[(index / 64) as usize] >> (index % 64) & 1 == 1
+    }
+
+    /// The words in order, each little-endian.
+    pub fn to_bytes(&self) -> [u8; 32] {
+        let mut bytes = [0; 32];
+        for (chunk, word) in bytes.chunks_exact_mut(8).zip(self.0) {
+            chunk.copy_from_slice(&word.to_le_bytes());
+        }
+        bytes
+    }
+
+    /// Inverse of [`Descriptor::to_bytes`].
+    pub fn from_bytes(bytes: &[u8; 32]) -> Self {
+        Self(std::array::from_fn(|word| {
+            u64::from_le_bytes(std::array::from_fn(|byte| bytes[8 * word + byte]))
+        }))
+    }
+}
+
+/// Keypoints and their descriptors, at equal indices; ordered by octave.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Features {
+    /// Where.
+    pub keypoints: Vec<Keypoint>,
+    /// What it looks like there.
+    pub descriptors: Vec<Descriptor>,
+}
+
+impl Features {
+    /// Number of features.
+    pub fn len(&self) -> usize {
+        self.keypoints.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.keypoints.is_empty()
+    }
+}
+
+/// How features are extracted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OrbConfig {
+    /// Features wanted per image; fewer come out where there is not enough texture. Default 1000.
+    pub n_features: usize,
+    /// Pyramid levels, 1 to 16. Default 8: covers a change of scale of 3.6.
+    pub n_levels: usize,
+    /// Ratio of neighbouring levels' sizes, above 1 and at most 2. Default 1.2.
+    pub scale_factor: f32,
+    /// A corner's circle must differ by more than this, grey levels. Default 20.
+    pub fast_threshold: u8,
+    /// Threshold for cells where `fast_threshold` finds nothing, grey levels, at least 1. Default 7.
+    pub min_fast_threshold: u8,
+    /// Side of those cells, pixels of their level, at least 8. Default 30.
+    pub cell_size_px: u32,
+    /// Keypoints keep this distance from the edges of their level, pixels; at least 16, so that the patch of
+    /// orientation and descriptor (radius 15) lies inside. Default 16.
+    pub edge_margin_px: u32,
+}
+
+impl Default for OrbConfig {
+    fn default() -> Self {
+        Self {
+            n_features: 1000,
+            n_levels: 8,
+            scale_factor: 1.2,
+            fast_threshold: 20,
+            min_fast_threshold: 7,
+            cell_size_px: 30,
+            edge_margin_px: MIN_EDGE_MARGIN_PX,
+        }
+    }
+}
+
+/// Radius of the patch that orientation and descriptor look at, pixels of the keypoint's level.
+pub(crate) const PATCH_RADIUS_PX: u32 = 15;
+const MIN_EDGE_MARGIN_PX: u32 = PATCH_RADIUS_PX + 1;
+
+/// Which field of an [`OrbConfig`] is out of range.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum OrbConfigError {
+    /// `n_levels` is not 1 to 16.
+    #[error("n_levels must be between 1 and 16, not {0}")]
+    Levels(usize),
+    /// `scale_factor` is not above 1 and at most 2.
+    #[error("scale_factor must be above 1 and at most 2, not {0}")]
+    ScaleFactor(f32),
+    /// `min_fast_threshold` is 0 or above `fast_threshold`.
+    #[error(
+        "min_fast_threshold must be between 1 and fast_threshold ({fast_threshold}), not {min_fast_threshold}"
+    )]
+    Thresholds {
+        /// As configured.
+        fast_threshold: u8,
+        /// As configured.
+        min_fast_threshold: u8,
+    },
+    /// `cell_size_px` is below 8.
+    #[error("cell_size_px must be at least 8, not {0}")]
+    CellSize(u32),
+    /// `edge_margin_px` is below 16.
+    #[error("edge_margin_px must be at least 16, not {0}")]
+    EdgeMargin(u32),
+}
+
+impl OrbConfig {
+    /// Checks every field's range.
+    pub fn validate(&self) -> Result<(), OrbConfigError> {
+        if !(1..=16).contains(&self.n_levels) {
+            return Err(OrbConfigError::Levels(self.n_levels));
+        }
+        if !(self.scale_factor > 1.0 && self.scale_factor <= 2.0) {
+            return Err(OrbConfigError::ScaleFactor(self.scale_factor));
+        }
+        if !(1..=self.fast_threshold).contains(&self.min_fast_threshold) {
+            return Err(OrbConfigError::Thresholds {
+                fast_threshold: self.fast_threshold,
+                min_fast_threshold: self.min_fast_threshold,
+            });
+        }
+        if self.cell_size_px < 8 {
+            return Err(OrbConfigError::CellSize(self.cell_size_px));
+        }
+        if self.edge_margin_px < MIN_EDGE_MARGIN_PX {
+            return Err(OrbConfigError::EdgeMargin(self.edge_margin_px));
+        }
+        Ok(())
+    }
+
+    /// Standard deviation of a keypoint's position, pixels of level 0: `scale_factor^octave`, that is one pixel of the
+    /// level it was found at.
+    pub fn level_sigma_px(&self, octave: u8) -> f32 {
+        self.scale_factor.powi(i32::from(octave))
+    }
+}
+
+/// Extracts [`Features`]; keeps its buffers from image to image.
+#[derive(Clone, Debug)]
+pub struct OrbExtractor {
+    config: OrbConfig,
+    pyramid: Pyramid,
+    blurred: GrayImage,
+    detector: fast::Detector,
+    pattern: brief::Pattern,
+}
+
+impl OrbExtractor {
+    /// An extractor, if `config` is valid.
+    pub fn new(config: OrbConfig) -> Result<Self, OrbConfigError> {
+        config.validate()?;
+        Ok(Self {
+            config,
+            pyramid: Pyramid::new(config.n_levels, config.scale_factor),
+            blurred: GrayImage::default(),
+            detector: fast::Detector::default(),
+            pattern: brief::Pattern::new(),
+        })
+    }
+
+    /// The configuration in force.
+    pub fn config(&self) -> &OrbConfig {
+        &self.config
+    }
+
+    /// Changes the number of features wanted, for example while a map is being initialised.
+    pub fn set_n_features(&mut self, n_features: usize) {
+        self.config.n_features = n_features;
+    }
+
+    /// Standard deviation of a keypoint's position: see [`OrbConfig::level_sigma_px`].
+    pub fn level_sigma_px(&self, octave: u8) -> f32 {
+        self.config.level_sigma_px(octave)
+    }
+
+    /// The pyramid of the image extracted last.
+    pub fn pyramid(&self) -> &Pyramid {
+        &self.pyramid
+    }
+
+    /// Finds and describes keypoints. An image without texture, or too small, gives few or none.
+    pub fn extract(&mut self, image: &GrayImage) -> Features {
+        self.pyramid.build(image);
+        let mut features = Features::default();
+        let quotas = level_quotas(&self.config);
+        for (level, &quota) in quotas.iter().enumerate() {
+            let level_image = self.pyramid.level(level);
+            let corners = self.detector.detect(level_image, &self.config);
+            let kept = spread::spread(corners, level_image.width(), level_image.height(), quota);
+            if kept.is_empty() {
+                continue;
+            }
+            brief::blur(level_image, &mut self.blurred);
+            let scale_x = image.width() as f32 / level_image.width() as f32;
+            let scale_y = image.height() as f32 / level_image.height() as f32;
+            for corner in kept {
+                let (x, y) = (u32::from(corner.x), u32::from(corner.y));
+                let angle = orientation::angle(level_image, x, y);
+                features.keypoints.push(Keypoint {
+                    x: (x as f32 + 0.5) * scale_x - 0.5,
+                    y: (y as f32 + 0.5) * scale_y - 0.5,
+                    octave: level as u8,
+                    angle,
+                    response: f32::from(corner.score),
+                });
+                features.descriptors.push(self.pattern.describe(&self.blurred, x, y, angle));
+            }
+        }
+        features
+    }
+}
+
+/// Features wanted at each level: in proportion to the level's side, summing to `n_features`.
+fn level_quotas(config: &OrbConfig) -> Vec<usize> {
+    let shares: Vec<f64> =
+        (0..config.n_levels).map(|level| f64::from(config.scale_factor).powi(-(level as i32))).collect();
+    let total: f64 = shares.iter().sum();
+    let mut wanted_so_far = 0.0;
+    let mut given = 0;
+    let quota = |share: f64| {
+        wanted_so_far += config.n_features as f64 * share / total;
+        let quota = wanted_so_far.round() as usize - given;
+        given += quota;
+        quota
+    };
+    shares.into_iter().map(quota).collect()
+}
