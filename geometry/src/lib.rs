@@ -35,17 +35,24 @@
 //! # Ok::<(), geometry::CameraError>(())
 //! ```
 
+pub mod absolute_pose;
+pub mod line;
+pub mod ransac;
 pub mod so3;
+pub mod triangulation;
+pub mod two_view;
 
 mod camera;
 mod direction;
 mod distortion;
 mod pinhole;
+mod polynomial;
 mod pose;
 mod similarity;
 
 pub use camera::{Camera, CameraError, CameraModel, CameraParameters, MAX_UNDISTORTED_ANGLE_DEG};
 pub use direction::Direction;
+pub use line::{Line3, OrthonormalLine};
 pub use nalgebra;
 pub use pinhole::Pinhole;
 pub use pose::Pose;
