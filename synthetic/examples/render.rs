@@ -1,0 +1,66 @@
+//! Renders a preset sequence into a folder that `monoslam stream` can read.
+//!
+//! ```text
+//! cargo run --release -p synthetic --example render -- --preset room-rich --seed 1 --frames 10 --out DIR
+//! ```
+//! `--step N` takes every N-th frame of the path, `--threads N` shares each frame between threads.
+
+use std::process::ExitCode;
+use std::time::Instant;
+
+use synthetic::{Preset, Sequence, SequenceConfig};
+
+struct Arguments {
+    preset: Preset,
+    seed: u64,
+    frames: Option<usize>,
+    step: usize,
+    threads: usize,
+    out: String,
+}
+
+fn main() -> ExitCode {
+    let arguments = match parse(std::env::args().skip(1)) {
+        Ok(arguments) => arguments,
+        Err(message) => {
+            eprintln!("{message}");
+            eprintln!("usage: render --preset NAME --out DIR [--seed N] [--frames N] [--step N] [--threads N]");
+            return ExitCode::FAILURE;
+        }
+    };
+    let mut config = SequenceConfig::preset(arguments.preset, arguments.seed);
+    config.fps /= arguments.step as f64;
+    config.n_frames = arguments.frames;
+    config.render.threads = arguments.threads;
+    let start = Instant::now();
+    let sequence = Sequence::new(config).expect("the camera of the presets is valid");
+    if let Err(error) = sequence.write_dataset(&arguments.out) {
+        eprintln!("cannot write {}: {error}", arguments.out);
+        return ExitCode::FAILURE;
+    }
+    let per_frame = start.elapsed().as_secs_f64() * 1e3 / sequence.len().max(1) as f64;
+    println!("{} frames in {}, {per_frame:.1} ms each with PNG and painting", sequence.len(), arguments.out);
+    ExitCode::SUCCESS
+}
+
+fn parse(mut words: impl Iterator<Item = String>) -> Result<Arguments, String> {
+    let mut preset = None;
+    let mut out = None;
+    let (mut seed, mut frames, mut step, mut threads) = (1, None, 1, 1);
+    while let Some(option) = words.next() {
+        let value = words.next().ok_or_else(|| format!("{option} needs a value"))?;
+        let number = || value.parse::<u64>().map_err(|error| format!("{option} {value}: {error}"));
+        match option.as_str() {
+            "--preset" => preset = Some(value.parse::<Preset>().map_err(|error| error.to_string())?),
+            "--out" => out = Some(value),
+            "--seed" => seed = number()?,
+            "--frames" => frames = Some(number()? as usize),
+            "--step" => step = number()?.max(1) as usize,
+            "--threads" => threads = number()? as usize,
+            _ => return Err(format!("unknown option {option}")),
+        }
+    }
+    let preset = preset.ok_or("--preset is missing")?;
+    let out = out.ok_or("--out is missing")?;
+    Ok(Arguments { preset, seed, frames, step, threads, out })
+}

@@ -1,0 +1,123 @@
+//! Renders a world as a camera sees it.
+//!
+//! Visibility is decided per tile of the image: the faces that a tile's cone of rays can meet are found once,
+//! and rays are cast at the corners of pixels against these few. A pixel whose four corners see the same face
+//! is shaded once, with a filtered look-up in the face's texture; any other pixel is split into sub-samples.
+//! All rays come from the camera model, so lens distortion costs nothing.
+
+mod lighting;
+mod options;
+mod rays;
+mod sensor;
+mod shading;
+mod visibility;
+
+use std::sync::{Arc, OnceLock};
+
+use geometry::{Camera, Pose};
+
+pub use options::{ExposureCurve, RenderOptions};
+
+use crate::image::GrayImage;
+use crate::random::stream;
+use crate::texture::MipTexture;
+use crate::world::{RayHit, World};
+use rays::RayTable;
+use sensor::Sensor;
+use shading::shade_band;
+use visibility::FrameFaces;
+
+/// A camera in a world. Textures are painted when they are first seen and kept.
+pub struct Renderer {
+    world: Arc<World>,
+    camera: Camera,
+    options: RenderOptions,
+    rays: RayTable,
+    sensor: Sensor,
+    textures: Vec<OnceLock<MipTexture>>,
+}
+
+impl Renderer {
+    /// Prepares the tables for `camera`.
+    pub fn new(world: Arc<World>, camera: Camera, options: RenderOptions) -> Self {
+        let rays = RayTable::new(&camera);
+        let sensor = Sensor::new(&camera, &options);
+        let textures = world.surfaces().iter().map(|_| OnceLock::new()).collect();
+        Self { world, camera, options, rays, sensor, textures }
+    }
+
+    /// The world.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// The camera.
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// The options.
+    pub fn options(&self) -> &RenderOptions {
+        &self.options
+    }
+
+    /// The image of an exposure during which the camera takes the poses `camera_from_world` in turn; one pose
+    /// gives an image without motion blur. `t_s` is the time on the exposure curve, `noise_seed` the seed of
+    /// the sensor's noise.
+    ///
+    /// # Panics
+    /// If there is no pose.
+    pub fn render(&self, camera_from_world: &[Pose], t_s: f64, noise_seed: u64) -> GrayImage {
+        assert!(!camera_from_world.is_empty(), "an exposure needs a pose");
+        let mut radiance = self.radiance(&camera_from_world[0]);
+        for pose in &camera_from_world[1..] {
+            for (sum, value) in radiance.iter_mut().zip(self.radiance(pose)) {
+                *sum += value;
+            }
+        }
+        let gain = self.options.exposure.gain(t_s) / camera_from_world.len() as f64;
+        let pixels = self.sensor.expose(&radiance, gain, noise_seed);
+        GrayImage::new(self.camera.width(), self.camera.height(), pixels)
+    }
+
+    /// Grey level of the painted and lit surface at a hit, before the sensor, as a close view shows it.
+    pub fn surface_grey(&self, hit: &RayHit) -> f64 {
+        let texel = self.options.texel;
+        let (u, v) = ((hit.uv.x / texel) as f32, (hit.uv.y / texel) as f32);
+        let footprint = crate::texture::Footprint::new([1.0, 0.0, 0.0, 1.0]);
+        f64::from(self.texture(hit.surface).sample(u, v, &footprint))
+    }
+
+    /// Noise-free grey levels, row-major.
+    fn radiance(&self, camera_from_world: &Pose) -> Vec<f32> {
+        let (width, height) = (self.camera.width() as usize, self.camera.height() as usize);
+        let faces = FrameFaces::new(&self.world, camera_from_world, self.options.texel);
+        let mut pixels = vec![0.0; width * height];
+        let rows_per_band = height.div_ceil(self.options.threads.max(1));
+        let bands = pixels.chunks_mut(rows_per_band * width).enumerate();
+        if self.options.threads <= 1 {
+            bands.for_each(|(_, band)| shade_band(self, &faces, 0, band));
+        } else {
+            std::thread::scope(|scope| {
+                for (i, band) in bands {
+                    let faces = &faces;
+                    scope.spawn(move || shade_band(self, faces, i * rows_per_band, band));
+                }
+            });
+        }
+        pixels
+    }
+
+    fn texture(&self, surface: usize) -> &MipTexture {
+        self.textures[surface].get_or_init(|| self.paint(surface))
+    }
+
+    /// Paint times light, as grey levels. Dither keeps smooth gradients free of steps.
+    fn paint(&self, index: usize) -> MipTexture {
+        let surface = &self.world.surfaces()[index];
+        let mut rng = stream(surface.seed, "paint");
+        let canvas = surface.material.paint((surface.size.x, surface.size.y), self.options.texel, &mut rng);
+        let light = lighting::LightMap::new(&self.world, surface);
+        MipTexture::new(canvas.width, light.lit(&canvas, &mut rng))
+    }
+}
