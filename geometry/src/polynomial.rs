@@ -14,8 +14,12 @@ fn evaluate(coefficients: &[f64], x: f64) -> (f64, f64) {
     (value, slope)
 }
 
-/// The simple real roots, not ordered. Roots are sought in `[-1, 1]`, and those outside as the inverses of the
-/// roots of the reversed polynomial, so that nothing overflows and no bound on their size is needed.
+/// Roots up to this size are sought directly. A little more than one, so that no root of a well-made problem,
+/// where ±1 is not rare, falls on the seam.
+const SEAM: f64 = 1.0625;
+
+/// The simple real roots, not ordered. Roots are sought in `[-SEAM, SEAM]`, and those outside as the inverses of
+/// the roots of the reversed polynomial, so that nothing overflows and no bound on their size is needed.
 ///
 /// Double roots may be missed: between two roots of the derivative the sign does not change there.
 pub(crate) fn real_roots(coefficients: &[f64]) -> Vec<f64> {
@@ -24,22 +28,22 @@ pub(crate) fn real_roots(coefficients: &[f64]) -> Vec<f64> {
         return Vec::new();
     }
     let mut roots = Vec::with_capacity(coefficients.len());
-    roots_in_unit_interval(coefficients, &mut roots);
+    roots_within_seam(coefficients, &mut roots);
     let mut reversed = [0.0; MAX_DEGREE + 1];
     let reversed = &mut reversed[..coefficients.len()];
     for (to, from) in reversed.iter_mut().zip(coefficients.iter().rev()) {
         *to = *from;
     }
     let mut inverses = Vec::with_capacity(coefficients.len());
-    roots_in_unit_interval(reversed, &mut inverses);
-    // Zero would be a root at infinity; ±1 was found already.
-    roots.extend(inverses.iter().filter(|x| **x != 0.0 && x.abs() < 1.0).map(|x| 1.0 / x));
+    roots_within_seam(reversed, &mut inverses);
+    // Zero would be a root at infinity; those beyond 1 / SEAM were found already.
+    roots.extend(inverses.iter().filter(|x| **x != 0.0 && x.abs() < 1.0 / SEAM).map(|x| 1.0 / x));
     roots
 }
 
-/// Roots in `[-1, 1]`, ascending. Between neighbouring roots of the derivative a polynomial is monotone, so it has
+/// Roots in `[-SEAM, SEAM)`, ascending. Between neighbouring roots of the derivative a polynomial is monotone, so it has
 /// at most one root there; and so down to the derivative that is a line.
-fn roots_in_unit_interval(coefficients: &[f64], roots: &mut Vec<f64>) {
+fn roots_within_seam(coefficients: &[f64], roots: &mut Vec<f64>) {
     let degree = coefficients.len().saturating_sub(1);
     let mut derivatives = [[0.0; MAX_DEGREE + 1]; MAX_DEGREE + 1];
     derivatives[0][..=degree].copy_from_slice(coefficients);
@@ -53,9 +57,9 @@ fn roots_in_unit_interval(coefficients: &[f64], roots: &mut Vec<f64>) {
     let mut found = [0.0; MAX_DEGREE + 1];
     for order in (0..degree).rev() {
         let polynomial = &derivatives[order][..=(degree - order)];
-        breaks[0] = -1.0;
+        breaks[0] = -SEAM;
         breaks[1..=n_roots].copy_from_slice(&found[..n_roots]);
-        breaks[n_roots + 1] = 1.0;
+        breaks[n_roots + 1] = SEAM;
         let n_intervals = n_roots + 1;
         n_roots = 0;
         for i in 0..n_intervals {
@@ -68,14 +72,14 @@ fn roots_in_unit_interval(coefficients: &[f64], roots: &mut Vec<f64>) {
     roots.extend_from_slice(&found[..n_roots]);
 }
 
-/// The root of a function monotone over `[low, high]`, by Newton's method kept inside the bracket by bisection.
+/// The root in `[low, high)` of a function monotone there, by Newton's method kept inside the bracket by bisection.
 fn root_between(polynomial: &[f64], mut low: f64, mut high: f64) -> Option<f64> {
     let (value_low, _) = evaluate(polynomial, low);
     let (value_high, _) = evaluate(polynomial, high);
     if value_low == 0.0 && low < high {
         return Some(low);
     }
-    if value_low.signum() == value_high.signum() || low >= high {
+    if value_high == 0.0 || value_low.signum() == value_high.signum() || low >= high {
         return None;
     }
     let rises = value_high > 0.0;

@@ -93,7 +93,7 @@ pub fn ransac<E: Estimator>(
             let best_cost = best.as_ref().map_or(f64::INFINITY, |(_, cost)| *cost);
             let Some(cost) = search.cost_below(&model, best_cost) else { continue };
             let (model, cost) = search.refined(model, cost);
-            let inlier_share = search.inliers(&model).len() as f64 / n_data as f64;
+            let inlier_share = search.inliers(&model, 1.0).len() as f64 / n_data as f64;
             needed = iterations_needed(inlier_share, sample_size, config);
             best = Some((model, cost));
         }
@@ -127,17 +127,32 @@ impl<E: Estimator> Search<'_, E> {
         Some(cost)
     }
 
-    fn inliers(&self, model: &E::Model) -> Vec<usize> {
-        (0..self.estimator.n_data()).filter(|datum| self.cost_of(model, *datum) < 1.0).collect()
+    /// The data whose squared residual is below `widening` times the threshold.
+    fn inliers(&self, model: &E::Model, widening: f64) -> Vec<usize> {
+        let bound = widening * self.max_squared_residual;
+        (0..self.estimator.n_data())
+            .filter(|datum| self.estimator.squared_residual(model, *datum) < bound)
+            .collect()
     }
 
-    /// Refines while that lowers the cost, at most a few times: the set of inliers changes with the model.
+    /// Refines while that lowers the cost, at most a few times: the set of inliers changes with the model. A model
+    /// from a noisy minimal sample misses many true inliers, so wider sets are tried first.
     fn refined(&self, mut model: E::Model, mut cost: f64) -> (E::Model, f64) {
         const MAX_ROUNDS: usize = 3;
+        const WIDENINGS: [f64; 3] = [9.0, 4.0, 1.0];
         for _ in 0..MAX_ROUNDS {
-            let Some(candidate) = self.estimator.refine(&model, &self.inliers(&model)) else { break };
-            let Some(lower) = self.cost_below(&candidate, cost) else { break };
-            (model, cost) = (candidate, lower);
+            let cost_before = cost;
+            for widening in WIDENINGS {
+                let candidate = self.estimator.refine(&model, &self.inliers(&model, widening));
+                if let Some((candidate, lower)) =
+                    candidate.and_then(|c| self.cost_below(&c, cost).map(|lower| (c, lower)))
+                {
+                    (model, cost) = (candidate, lower);
+                }
+            }
+            if cost == cost_before {
+                break;
+            }
         }
         (model, cost)
     }

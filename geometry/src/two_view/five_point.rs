@@ -64,7 +64,8 @@ fn null_space(bearings_a: &[Vector3<f64>], bearings_b: &[Vector3<f64>]) -> Optio
     let eigen = SymmetricEigen::new(normal);
     let mut order: [usize; 9] = std::array::from_fn(|i| i);
     order.sort_by(|i, j| eigen.eigenvalues[*i].total_cmp(&eigen.eigenvalues[*j]));
-    Some(std::array::from_fn(|i| as_matrix(eigen.eigenvectors.column(order[i]).into_owned())))
+    // The best comes last: its coefficient is the one fixed to one, so it must not be zero.
+    Some(std::array::from_fn(|i| as_matrix(eigen.eigenvectors.column(order[3 - i]).into_owned())))
 }
 
 /// Exponents of x, y, z of the twenty monomials of degree up to three, in the order of Nistér's table: after
