@@ -1,0 +1,91 @@
+//! The normal equations `H δ = −g` in blocks.
+
+use nalgebra::{SMatrix, SVector};
+
+use super::store::{NO_SLOT, VariableSlot};
+
+/// Set on a pair's offset when the block is stored as (second member) x (first member).
+pub(crate) const TRANSPOSED: u32 = 1 << 31;
+
+/// Gradient `g = Σ w Jᵀ r` and the blocks of `H = Σ w Jᵀ J`, each column-major, in one flat buffer:
+/// first those of the reduced system (whole diagonal blocks, and below them the off-diagonal ones), then the
+/// landmarks' diagonal blocks, then the (reduced x landmark) ones.
+#[doc(hidden)]
+#[derive(Default)]
+pub struct NormalEquations {
+    pub(crate) blocks: Vec<f64>,
+    pub(crate) gradient: Vec<f64>,
+}
+
+impl NormalEquations {
+    pub(crate) fn resize(&mut self, n_blocks: usize, n_gradient: usize) {
+        self.blocks.clear();
+        self.blocks.resize(n_blocks, 0.0);
+        self.gradient.clear();
+        self.gradient.resize(n_gradient, 0.0);
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.blocks.fill(0.0);
+        self.gradient.fill(0.0);
+    }
+
+    /// Adds `(w J)ᵀ J` and `(w J)ᵀ r` at a variable's place.
+    #[inline(always)]
+    pub(crate) fn add_diagonal<const R: usize, const N: usize>(
+        &mut self,
+        slot: VariableSlot,
+        weighted: &SMatrix<f64, R, N>,
+        jacobian: &SMatrix<f64, R, N>,
+        residual: &SVector<f64, R>,
+    ) {
+        if slot.is_fixed() {
+            return;
+        }
+        let gradient = &mut self.gradient[slot.gradient as usize..][..N];
+        for (column, sum) in gradient.iter_mut().enumerate() {
+            for row in 0..R {
+                *sum += weighted[(row, column)] * residual[row];
+            }
+        }
+        add_product(&mut self.blocks, slot.diagonal, weighted, jacobian);
+    }
+
+    /// Adds the product of two members' derivatives at their common block.
+    #[inline(always)]
+    pub(crate) fn add_pair<const R: usize, const NA: usize, const NB: usize>(
+        &mut self,
+        pair: u32,
+        a: &SMatrix<f64, R, NA>,
+        b: &SMatrix<f64, R, NB>,
+    ) {
+        if pair == NO_SLOT {
+            return;
+        }
+        if pair & TRANSPOSED == 0 {
+            add_product(&mut self.blocks, pair, a, b);
+        } else {
+            add_product(&mut self.blocks, pair & !TRANSPOSED, b, a);
+        }
+    }
+}
+
+/// `block += aᵀ b`, column-major.
+#[inline(always)]
+fn add_product<const R: usize, const NA: usize, const NB: usize>(
+    blocks: &mut [f64],
+    offset: u32,
+    a: &SMatrix<f64, R, NA>,
+    b: &SMatrix<f64, R, NB>,
+) {
+    let block = &mut blocks[offset as usize..][..NA * NB];
+    for column in 0..NB {
+        for row in 0..NA {
+            let mut sum = 0.0;
+            for k in 0..R {
+                sum += a[(k, row)] * b[(k, column)];
+            }
+            block[column * NA + row] += sum;
+        }
+    }
+}
