@@ -7,8 +7,9 @@ use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 /// to six reach rounding.
 const MAX_NEWTON_ROUNDS: usize = 30;
 
-/// Newton's method stops when a step is below this, in the distorted plane: `1e-9` of a pixel.
-const NEWTON_TOLERANCE: f64 = 1e-12;
+/// Newton's method stops after a step below this, in the distorted plane. It converges quadratically, so what is
+/// left then is the square of this, below rounding.
+const NEWTON_TOLERANCE: f64 = 1e-8;
 
 /// Steps in which the range of a radial function is searched for the place where it stops rising.
 const MONOTONE_SCAN_STEPS: usize = 2000;
@@ -142,11 +143,14 @@ fn invert_rising(target: f64, end: f64, value_and_slope: impl Fn(f64) -> (f64, f
             low = x
         }
         let newton = x - error / slope;
-        let next = if newton >= low && newton <= high { newton } else { 0.5 * (low + high) };
-        let step = (next - x).abs();
-        x = next;
-        if step <= NEWTON_TOLERANCE * (1.0 + x) {
-            break;
+        if newton >= low && newton <= high {
+            let step = (newton - x).abs();
+            x = newton;
+            if step <= NEWTON_TOLERANCE {
+                break;
+            }
+        } else {
+            x = 0.5 * (low + high);
         }
     }
     Some(x)
@@ -226,27 +230,42 @@ impl Radtan {
         )
     }
 
-    /// Inverts the radial part safely first, then the whole by Newton's method from there.
+    /// Newton's method from a first guess, which nearly always converges; else from the safe inverse of the radial
+    /// part. Within `limit` the model is one-to-one, so any solution found there is the solution.
     #[inline]
     fn undistort(&self, distorted: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let guess = distorted / self.factor(distorted.norm_squared()).0;
+        self.newton(guess, distorted).or_else(|| self.newton(self.radial_inverse(distorted)?, distorted))
+    }
+
+    /// The inverse without the tangential part.
+    #[cold]
+    fn radial_inverse(&self, distorted: &Vector2<f64>) -> Option<Vector2<f64>> {
         let radius = distorted.norm();
-        if radius < 1e-12 && self.p1 == 0.0 && self.p2 == 0.0 {
-            return Some(*distorted);
-        }
         let undistorted_radius = invert_rising(radius, self.limit, |r| self.radial_value_and_slope(r))?;
-        let mut p = if radius > 0.0 { distorted * (undistorted_radius / radius) } else { *distorted };
-        if self.p1 == 0.0 && self.p2 == 0.0 {
-            return Some(p);
-        }
+        Some(if radius > 0.0 { distorted * (undistorted_radius / radius) } else { *distorted })
+    }
+
+    #[inline]
+    fn newton(&self, start: Vector2<f64>, distorted: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let limit2 = self.limit * self.limit;
+        let mut p = start;
         for _ in 0..MAX_NEWTON_ROUNDS {
-            let jacobian = self.jacobian(&p);
-            if jacobian.determinant() <= 0.0 {
+            let error = self.distort(&p) - distorted;
+            let j = self.jacobian(&p);
+            let determinant = j.determinant();
+            // Also stops on numbers that are not finite.
+            let inside = p.norm_squared() <= limit2 && determinant > 0.0;
+            if !inside {
                 return None;
             }
-            let step = jacobian.try_inverse()? * (self.distort(&p) - distorted);
+            let step = Vector2::new(
+                (j.m22 * error.x - j.m12 * error.y) / determinant,
+                (j.m11 * error.y - j.m21 * error.x) / determinant,
+            );
             p -= step;
-            if step.norm_squared() < NEWTON_TOLERANCE * NEWTON_TOLERANCE * (1.0 + p.norm_squared()) {
-                return (p.norm_squared() < self.limit * self.limit).then_some(p);
+            if step.norm_squared() < NEWTON_TOLERANCE * NEWTON_TOLERANCE {
+                return (p.norm_squared() < limit2).then_some(p);
             }
         }
         None

@@ -47,14 +47,14 @@ impl Pose {
     pub fn exp(delta: &Vector6<f64>) -> Self {
         let phi = Vector3::new(delta[0], delta[1], delta[2]);
         let rho = Vector3::new(delta[3], delta[4], delta[5]);
-        Self { rotation: so3::exp(&phi), translation: so3::left_jacobian(&phi) * rho }
+        Self { rotation: so3::exp(&phi), translation: so3::left_jacobian_times(&phi, &rho) }
     }
 
     /// The twist `[rotation(3), translation(3)]` of which this is the exponential, its rotation at most π.
     #[inline]
     pub fn log(&self) -> Vector6<f64> {
         let phi = so3::log(&self.rotation);
-        let rho = so3::left_jacobian_inverse(&phi) * self.translation;
+        let rho = so3::left_jacobian_inverse_times(&phi, &self.translation);
         Vector6::new(phi.x, phi.y, phi.z, rho.x, rho.y, rho.z)
     }
 

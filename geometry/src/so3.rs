@@ -66,18 +66,35 @@ pub(crate) fn sinc_and_cosc(theta2: f64) -> (f64, f64) {
     }
 }
 
-/// `J` with `exp(phi + δ) = exp(J δ) exp(phi)` to first order; also the mean of `exp(u phi)` over `u` in
-/// `[0, 1]`, which turns the translation part of a twist into a translation.
+/// `(1 - cos θ) / θ²` and `(θ - sin θ) / θ³`: the coefficients of the left Jacobian.
 #[inline]
-pub fn left_jacobian(phi: &Vector3<f64>) -> Matrix3<f64> {
-    let theta2 = phi.norm_squared();
+fn jacobian_coefficients(theta2: f64) -> (f64, f64) {
     let (sinc, cosc) = sinc_and_cosc(theta2);
-    // (θ - sin θ) / θ³
     let third = if theta2 < SMALL_ANGLE_SQUARED {
         1.0 / 6.0 - theta2 / 120.0 * (1.0 - theta2 / 42.0)
     } else {
         (1.0 - sinc) / theta2
     };
+    (cosc, third)
+}
+
+/// `(1 - (θ/2) cot(θ/2)) / θ²`: the coefficient of the inverse of the left Jacobian.
+#[inline]
+fn inverse_jacobian_coefficient(theta2: f64) -> f64 {
+    if theta2 < SMALL_ANGLE_SQUARED {
+        1.0 / 12.0 + theta2 / 720.0 * (1.0 + theta2 / 42.0)
+    } else {
+        let half = 0.5 * theta2.sqrt();
+        let (sin, cos) = half.sin_cos();
+        (1.0 - half * cos / sin) / theta2
+    }
+}
+
+/// `J` with `exp(phi + δ) = exp(J δ) exp(phi)` to first order; also the mean of `exp(u phi)` over `u` in
+/// `[0, 1]`, which turns the translation part of a twist into a translation.
+#[inline]
+pub fn left_jacobian(phi: &Vector3<f64>) -> Matrix3<f64> {
+    let (cosc, third) = jacobian_coefficients(phi.norm_squared());
     let k = skew(phi);
     Matrix3::identity() + cosc * k + third * (k * k)
 }
@@ -85,17 +102,24 @@ pub fn left_jacobian(phi: &Vector3<f64>) -> Matrix3<f64> {
 /// The inverse of [`left_jacobian`], defined for `|phi| < 2π`.
 #[inline]
 pub fn left_jacobian_inverse(phi: &Vector3<f64>) -> Matrix3<f64> {
-    let theta2 = phi.norm_squared();
-    // (1 - (θ/2) cot(θ/2)) / θ²
-    let coefficient = if theta2 < SMALL_ANGLE_SQUARED {
-        1.0 / 12.0 + theta2 / 720.0 * (1.0 + theta2 / 42.0)
-    } else {
-        let half = 0.5 * theta2.sqrt();
-        let (sin, cos) = half.sin_cos();
-        (1.0 - half * cos / sin) / theta2
-    };
+    let coefficient = inverse_jacobian_coefficient(phi.norm_squared());
     let k = skew(phi);
     Matrix3::identity() - 0.5 * k + coefficient * (k * k)
+}
+
+/// `left_jacobian(phi) * v`, without the matrix.
+#[inline]
+pub(crate) fn left_jacobian_times(phi: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+    let (cosc, third) = jacobian_coefficients(phi.norm_squared());
+    let turned = phi.cross(v);
+    v + cosc * turned + third * phi.cross(&turned)
+}
+
+/// `left_jacobian_inverse(phi) * v`, without the matrix.
+#[inline]
+pub(crate) fn left_jacobian_inverse_times(phi: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+    let turned = phi.cross(v);
+    v - 0.5 * turned + inverse_jacobian_coefficient(phi.norm_squared()) * phi.cross(&turned)
 }
 
 /// The angle of the rotation that takes `a` to `b`, in `[0, π]`.
