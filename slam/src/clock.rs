@@ -1,5 +1,7 @@
 //! Time as the engine sees it: handed in from outside, so that the engine itself reads no clock.
 
+use crate::report::StageTime;
+
 /// A source of times for the stage timings in the reports.
 pub trait Clock: Send + Sync {
     /// Wall time since some fixed moment, nanoseconds; never goes back.
@@ -18,5 +20,43 @@ impl Clock for NoClock {
     }
     fn thread_cpu_ns(&self) -> u64 {
         0
+    }
+}
+
+/// Times the stages of one frame.
+pub(crate) struct Stopwatch {
+    clock: std::sync::Arc<dyn Clock>,
+    start_wall_ns: u64,
+    start_cpu_ns: u64,
+    lap_start_ns: u64,
+    stages: Vec<StageTime>,
+}
+
+/// What a [`Stopwatch`] measured.
+pub(crate) struct FrameTimes {
+    pub stages: Vec<StageTime>,
+    pub wall_ns: u64,
+    pub cpu_ns: u64,
+}
+
+impl Stopwatch {
+    pub fn start(clock: std::sync::Arc<dyn Clock>) -> Self {
+        let (start_wall_ns, start_cpu_ns) = (clock.wall_ns(), clock.thread_cpu_ns());
+        Self { clock, start_wall_ns, start_cpu_ns, lap_start_ns: start_wall_ns, stages: Vec::with_capacity(8) }
+    }
+
+    /// Ends the stage that ran since the start or the lap before.
+    pub fn lap(&mut self, name: &'static str) {
+        let now = self.clock.wall_ns();
+        self.stages.push(StageTime { name, wall_ns: now.saturating_sub(self.lap_start_ns) });
+        self.lap_start_ns = now;
+    }
+
+    pub fn finish(self) -> FrameTimes {
+        FrameTimes {
+            wall_ns: self.clock.wall_ns().saturating_sub(self.start_wall_ns),
+            cpu_ns: self.clock.thread_cpu_ns().saturating_sub(self.start_cpu_ns),
+            stages: self.stages,
+        }
     }
 }

@@ -1,5 +1,9 @@
 //! What a session runs with. Every field has a default, a unit and a reason.
 
+use crate::features::PyramidGeometry;
+use geometry::Camera;
+use vision::OrbConfig;
+
 /// How the stages of a session share the machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Threading {
@@ -11,12 +15,239 @@ pub enum Threading {
 }
 
 /// Configuration of a session.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SlamConfig {
-    /// How the stages share the machine.
+    /// How the stages share the machine. Default background.
     pub threading: Threading,
     /// Seed of every random choice. Default 0.
     pub seed: u64,
+    /// Images wider than this are scaled down to it, and the calibration with them, pixels. Default 1280: the
+    /// front end's time grows with the area, and corners of larger images are no better located.
+    pub working_width_px: u32,
+    /// The extractor of points.
+    pub orb: OrbConfig,
+    /// Making the first map.
+    pub initialisation: InitialisationConfig,
+    /// Following the camera.
+    pub tracking: TrackingConfig,
+    /// Finding a lost camera.
+    pub relocalisation: RelocalisationConfig,
+    /// When a frame is kept.
+    pub keyframes: KeyframeConfig,
+    /// Extending the map.
+    pub mapping: MappingConfig,
+}
+
+impl Default for SlamConfig {
+    fn default() -> Self {
+        Self {
+            threading: Threading::default(),
+            seed: 0,
+            working_width_px: 1280,
+            orb: OrbConfig::default(),
+            initialisation: InitialisationConfig::default(),
+            tracking: TrackingConfig::default(),
+            relocalisation: RelocalisationConfig::default(),
+            keyframes: KeyframeConfig::default(),
+            mapping: MappingConfig::default(),
+        }
+    }
+}
+
+/// Making the first map from two views.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InitialisationConfig {
+    /// Features asked of the extractor while there is no map. Default 2000: matches are scarce at first.
+    pub n_features: usize,
+    /// Fewest keypoints a usable view has. Default 100.
+    pub min_keypoints: usize,
+    /// Views kept to start from, newest first to go when full. Default 30: a second of video.
+    pub max_reference_views: usize,
+    /// Frames without a pose that are kept to be placed afterwards. Default 150: five seconds of video, 25 MB.
+    pub max_backfill_views: usize,
+    /// Pairs tried per frame: the widest usable baseline and shorter ones. Default 3, to bound the time.
+    pub max_attempts_per_frame: usize,
+    /// Side of the square a keypoint is looked for in is twice this, pixels at 640 wide. Default 100.
+    pub search_radius_px: f64,
+    /// Fewest matches two views need. Default 80.
+    pub min_matches: usize,
+    /// Iterations of the search for a motion. Default 300.
+    pub max_iterations: usize,
+    /// Fewest points the first map may have. Default 50.
+    pub min_points: usize,
+    /// Share of the matches that must agree with the motion found. Default 0.7.
+    pub min_inlier_share: f64,
+    /// A second motion that explains this share of what the best explains makes the pair ambiguous. Default 0.8.
+    pub max_runner_up_share: f64,
+    /// Least parallax, reached by the widest fiftieth point, degrees. Default 1.0: below it depth is noise.
+    pub min_parallax_deg: f64,
+    /// Share of the map's points a view between the two must confirm. Default 0.6.
+    pub min_third_view_share: f64,
+}
+
+impl Default for InitialisationConfig {
+    fn default() -> Self {
+        Self {
+            n_features: 2000,
+            min_keypoints: 100,
+            max_reference_views: 30,
+            max_backfill_views: 150,
+            max_attempts_per_frame: 3,
+            search_radius_px: 100.0,
+            min_matches: 80,
+            max_iterations: 300,
+            min_points: 50,
+            min_inlier_share: 0.7,
+            max_runner_up_share: 0.8,
+            min_parallax_deg: 1.0,
+            min_third_view_share: 0.6,
+        }
+    }
+}
+
+/// Following the camera from frame to frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrackingConfig {
+    /// Radius in which a point of the last frame is looked for, pixels of its level. Default 15.
+    pub motion_search_radius_px: f64,
+    /// Fewer matches than this by the motion model double the radius. Default 20.
+    pub min_motion_matches: usize,
+    /// Fewest matches with the reference key frame. Default 15.
+    pub min_reference_matches: usize,
+    /// Fewest points that must agree with the first estimate of a pose. Default 10.
+    pub min_first_inliers: usize,
+    /// Radius in which a point of the local map is looked for, pixels of its level. Default 4.
+    pub map_search_radius_px: f64,
+    /// Largest angle between the direction a point was seen from and the one it is seen from now, degrees.
+    /// Default 60: beyond it descriptors no longer match.
+    pub max_view_angle_deg: f64,
+    /// Best match's distance as a share of the second best's. Default 0.8.
+    pub match_ratio: f32,
+    /// Key frames of the local map at most. Default 80.
+    pub max_local_keyframes: usize,
+    /// Points that must agree for a good pose. Default 30.
+    pub min_inliers: usize,
+    /// Points that must agree for a weak pose; fewer and the camera is lost. Default 15.
+    pub min_weak_inliers: usize,
+}
+
+impl Default for TrackingConfig {
+    fn default() -> Self {
+        Self {
+            motion_search_radius_px: 15.0,
+            min_motion_matches: 20,
+            min_reference_matches: 15,
+            min_first_inliers: 10,
+            map_search_radius_px: 4.0,
+            max_view_angle_deg: 60.0,
+            match_ratio: 0.8,
+            max_local_keyframes: 80,
+            min_inliers: 30,
+            min_weak_inliers: 15,
+        }
+    }
+}
+
+/// Finding a lost camera in the map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RelocalisationConfig {
+    /// Places tried per frame. Default 5.
+    pub max_candidates: usize,
+    /// Fewest matches with a place worth a try. Default 15.
+    pub min_matches: usize,
+    /// Iterations of the search for a pose. Default 300.
+    pub max_iterations: usize,
+    /// Points that must agree with the pose found from the matches. Default 10.
+    pub min_first_inliers: usize,
+    /// Points that must agree in the end. Default 40: a false place is worse than a lost frame.
+    pub min_inliers: usize,
+}
+
+impl Default for RelocalisationConfig {
+    fn default() -> Self {
+        Self { max_candidates: 5, min_matches: 15, max_iterations: 300, min_first_inliers: 10, min_inliers: 40 }
+    }
+}
+
+/// When a frame becomes a key frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KeyframeConfig {
+    /// A frame that finds less than this share of what its reference key frame sees is kept. Default 0.9.
+    pub max_tracked_share: f64,
+    /// The same share once `max_interval_ns` have gone by. Default 0.97: a slow camera still refreshes the map.
+    pub max_tracked_share_after_wait: f64,
+    /// Points a key frame must find at least. Default 15: it could not be placed on fewer.
+    pub min_inliers: usize,
+    /// After this time a smaller change is enough for a key frame, nanoseconds. Default 1 s.
+    pub max_interval_ns: i64,
+    /// Frames after a relocalisation that are not kept. Default 5: the pose settles first.
+    pub settle_frames: u64,
+    /// Key frames kept per session; beyond it the most redundant one goes for each new one. Default 2000.
+    pub max_keyframes: usize,
+}
+
+impl Default for KeyframeConfig {
+    fn default() -> Self {
+        Self {
+            max_tracked_share: 0.9,
+            max_tracked_share_after_wait: 0.97,
+            min_inliers: 15,
+            max_interval_ns: 1_000_000_000,
+            settle_frames: 5,
+            max_keyframes: 2000,
+        }
+    }
+}
+
+/// Extending and tending the map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MappingConfig {
+    /// Shared points that make two key frames neighbours. Default 15.
+    pub min_covisible_points: u32,
+    /// Neighbours with which new points are triangulated. Default 20.
+    pub n_triangulation_neighbours: usize,
+    /// Baseline as a share of the scene's median depth below which no point is made. Default 0.01.
+    pub min_baseline_share: f64,
+    /// Parallax below which no point is made, degrees. Default 1.0 (cosine 0.9998).
+    pub min_parallax_deg: f64,
+    /// Best match's distance as a share of the second best's along the epipolar line. Default 0.8.
+    pub match_ratio: f32,
+    /// Neighbours into which points are fused. Default 20.
+    pub n_fusion_neighbours: usize,
+    /// Radius in which a duplicate of a point is looked for, pixels of its level. Default 3.
+    pub fusion_radius_px: f64,
+    /// A young point found in less than this share of the frames that should see it goes. Default 0.25.
+    pub min_found_ratio: f64,
+    /// Key frames after which a point must have been seen by three. Default 2.
+    pub probation_keyframes: u64,
+    /// Key frames that local bundle adjustment moves at most. Default 20, for a steady latency.
+    pub max_local_keyframes: usize,
+    /// Key frames that hold the local window in place at most, those with the most shared points. Default 40.
+    pub max_fixed_keyframes: usize,
+    /// Iterations of local bundle adjustment before and after outliers are dropped. Default 5 and 10.
+    pub local_iterations: (usize, usize),
+    /// A key frame goes when this share of its points is seen by three others as well. Default 0.9.
+    pub redundant_share: f64,
+}
+
+impl Default for MappingConfig {
+    fn default() -> Self {
+        Self {
+            min_covisible_points: 15,
+            n_triangulation_neighbours: 20,
+            min_baseline_share: 0.01,
+            min_parallax_deg: 1.0,
+            match_ratio: 0.8,
+            n_fusion_neighbours: 20,
+            fusion_radius_px: 3.0,
+            min_found_ratio: 0.25,
+            probation_keyframes: 2,
+            max_local_keyframes: 20,
+            max_fixed_keyframes: 40,
+            local_iterations: (5, 10),
+            redundant_share: 0.9,
+        }
+    }
 }
 
 /// A field of the configuration that cannot be used.
@@ -35,6 +266,38 @@ impl SlamConfig {
     /// # Errors
     /// The first field that cannot.
     pub fn validate(&self) -> Result<(), ConfigError> {
+        let refuse = |field, reason: &str| Err(ConfigError { field, reason: reason.to_owned() });
+        self.orb.validate().map_err(|error| ConfigError { field: "orb", reason: error.to_string() })?;
+        if !(100..=10_000).contains(&self.orb.n_features) {
+            return refuse("orb.n_features", "must be between 100 and 10000");
+        }
+        if !(160..=8192).contains(&self.working_width_px) {
+            return refuse("working_width_px", "must be between 160 and 8192");
+        }
+        if self.initialisation.max_reference_views == 0 || self.initialisation.max_attempts_per_frame == 0 {
+            return refuse("initialisation.max_reference_views", "must be at least 1");
+        }
+        if self.tracking.min_weak_inliers < 6 || self.tracking.min_weak_inliers > self.tracking.min_inliers {
+            return refuse("tracking.min_weak_inliers", "must be at least 6 and at most tracking.min_inliers");
+        }
+        if self.keyframes.max_keyframes < 10 {
+            return refuse("keyframes.max_keyframes", "must be at least 10");
+        }
         Ok(())
+    }
+
+    /// The camera the engine works with: the session's, scaled down where its images are wider than the working width.
+    pub fn working_camera(&self, camera: &Camera) -> Camera {
+        if camera.width() <= self.working_width_px {
+            return camera.clone();
+        }
+        let factor = f64::from(self.working_width_px) / f64::from(camera.width());
+        let height = (f64::from(camera.height()) * factor).round().max(1.0);
+        camera.scaled(factor, height / f64::from(camera.height()))
+    }
+
+    /// The resolutions the extractor looks at.
+    pub fn pyramid(&self) -> PyramidGeometry {
+        PyramidGeometry { n_levels: self.orb.n_levels as u8, scale_factor: f64::from(self.orb.scale_factor) }
     }
 }

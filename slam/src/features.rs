@@ -2,7 +2,32 @@
 
 use geometry::nalgebra::Vector2;
 use geometry::{Camera, Pinhole};
-use vision::{Descriptor, Features, Keypoint, KeypointGrid};
+use vision::{Descriptor, Features, GridBounds, Keypoint, KeypointGrid};
+
+/// The resolutions features are looked for in.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PyramidGeometry {
+    /// How many levels there are.
+    pub n_levels: u8,
+    /// Ratio of the sizes of neighbouring levels, above 1.
+    pub scale_factor: f64,
+}
+
+impl PyramidGeometry {
+    /// Pixels of the full image per pixel of the level: also the standard deviation of a keypoint's position found
+    /// there, in pixels of the full image.
+    #[inline]
+    pub fn scale(self, octave: u8) -> f64 {
+        self.scale_factor.powi(i32::from(octave))
+    }
+
+    /// The level at which something seen at `octave_scale` for the full range `farthest` appears at `distance`.
+    #[inline]
+    pub fn predict_octave(self, farthest: f64, distance: f64) -> u8 {
+        let octave = ((farthest / distance).ln() / self.scale_factor.ln()).ceil();
+        octave.clamp(0.0, f64::from(self.n_levels - 1)) as u8
+    }
+}
 
 /// The points of one frame. Immutable once made and shared between the frame, its key frame and the store.
 #[derive(Clone, Debug)]
@@ -13,8 +38,86 @@ pub struct FrameFeatures {
     pub undistorted: Vec<Vector2<f64>>,
     /// One binary descriptor per keypoint.
     pub descriptors: Vec<Descriptor>,
-    /// Index of the undistorted positions for window queries.
-    pub(crate) grid: KeypointGrid,
     /// The ideal camera the undistorted coordinates belong to.
     pub pinhole: Pinhole,
+    /// The resolutions the keypoints were looked for in.
+    pub pyramid: PyramidGeometry,
+    /// Where undistorted pixels of the image can lie.
+    pub bounds: GridBounds,
+    /// Index of the undistorted positions for window queries.
+    pub(crate) grid: KeypointGrid,
+}
+
+impl FrameFeatures {
+    /// Takes over what the extractor found, leaving out keypoints where the lens model has no inverse.
+    pub(crate) fn from_extracted(extracted: Features, camera: &Camera, pyramid: PyramidGeometry) -> Self {
+        let n = extracted.keypoints.len();
+        let (mut keypoints, mut undistorted, mut descriptors) =
+            (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
+        for (keypoint, descriptor) in extracted.keypoints.into_iter().zip(extracted.descriptors) {
+            let Some(position) = undistort(&keypoint, camera) else { continue };
+            keypoints.push(keypoint);
+            undistorted.push(position);
+            descriptors.push(descriptor);
+        }
+        Self::assemble(keypoints, undistorted, descriptors, camera, pyramid)
+    }
+
+    /// Rebuilds stored features. `None` if the lengths differ or a keypoint lies where the lens model has no inverse.
+    pub fn from_parts(
+        keypoints: Vec<Keypoint>,
+        descriptors: Vec<Descriptor>,
+        working_camera: &Camera,
+        pyramid: PyramidGeometry,
+    ) -> Option<Self> {
+        if keypoints.len() != descriptors.len() {
+            return None;
+        }
+        let undistorted =
+            keypoints.iter().map(|keypoint| undistort(keypoint, working_camera)).collect::<Option<Vec<_>>>()?;
+        Some(Self::assemble(keypoints, undistorted, descriptors, working_camera, pyramid))
+    }
+
+    fn assemble(
+        keypoints: Vec<Keypoint>,
+        undistorted: Vec<Vector2<f64>>,
+        descriptors: Vec<Descriptor>,
+        camera: &Camera,
+        pyramid: PyramidGeometry,
+    ) -> Self {
+        let (min, max) = camera.undistorted_bounds();
+        let bounds =
+            GridBounds { min_x: min.x as f32, min_y: min.y as f32, max_x: max.x as f32, max_y: max.y as f32 };
+        let entries =
+            keypoints.iter().zip(&undistorted).map(|(keypoint, p)| (p.x as f32, p.y as f32, keypoint.octave));
+        let grid = KeypointGrid::from_entries(entries, bounds);
+        Self { keypoints, undistorted, descriptors, pinhole: camera.pinhole(), pyramid, bounds, grid }
+    }
+
+    /// How many keypoints there are.
+    pub fn len(&self) -> usize {
+        self.keypoints.len()
+    }
+
+    /// Whether there is no keypoint.
+    pub fn is_empty(&self) -> bool {
+        self.keypoints.is_empty()
+    }
+
+    /// Standard deviation of a keypoint's position, pixels.
+    #[inline]
+    pub(crate) fn sigma_px(&self, feature_idx: usize) -> f64 {
+        self.pyramid.scale(self.keypoints[feature_idx].octave)
+    }
+
+    /// Whether an undistorted pixel lies in the image.
+    #[inline]
+    pub(crate) fn contains(&self, pixel: &Vector2<f64>) -> bool {
+        let (x, y) = (pixel.x as f32, pixel.y as f32);
+        x >= self.bounds.min_x && x <= self.bounds.max_x && y >= self.bounds.min_y && y <= self.bounds.max_y
+    }
+}
+
+fn undistort(keypoint: &Keypoint, camera: &Camera) -> Option<Vector2<f64>> {
+    camera.undistort(&Vector2::new(f64::from(keypoint.x), f64::from(keypoint.y)))
 }

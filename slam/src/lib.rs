@@ -2,15 +2,23 @@
 //!
 //! Start reading at [`Pipeline`]. It does no I/O and reads no clock; time and seeds come in as arguments.
 
+mod backfill;
+pub mod bundle;
 pub mod clock;
 pub mod config;
 pub mod features;
+mod initialisation;
 pub mod map;
+mod mapping;
 pub mod pipeline;
 pub mod report;
+mod tracking;
 
 pub use clock::{Clock, NoClock};
-pub use config::{ConfigError, SlamConfig, Threading};
+pub use config::{
+    ConfigError, InitialisationConfig, KeyframeConfig, MappingConfig, RelocalisationConfig, SlamConfig, Threading,
+    TrackingConfig,
+};
 pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::{Frame, FrameError, Pipeline, ResumeError, ResumeState};
 pub use report::{FrameReport, InitialisationWait, LostReason, TrackingOutcome};

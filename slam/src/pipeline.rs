@@ -1,12 +1,19 @@
 //! Start here: one frame in, one report out.
 
-use crate::clock::Clock;
-use crate::config::{ConfigError, SlamConfig};
-use crate::map::{Map, MapError, MapParts, MapUpdate};
-use crate::report::FrameReport;
-use geometry::Camera;
+use crate::backfill::Backfill;
+use crate::clock::{Clock, Stopwatch};
+use crate::config::{ConfigError, SlamConfig, Threading};
+use crate::features::FrameFeatures;
+use crate::initialisation::{Initialiser, InitialPair, View};
+use crate::map::{FramePose, FrameRecord, FrameState, KeyframeId, Map, MapError, MapParts, MapUpdate, SubmapId};
+use crate::mapping::stage::MappingStage;
+use crate::mapping::{InitialMap, Mapper, NewKeyframe};
+use crate::report::{FrameReport, InitialisationWait, TrackingOutcome};
+use crate::tracking::frame::TrackedFrame;
+use crate::tracking::{Tracked, Tracker};
+use geometry::{Camera, Pose};
 use std::sync::Arc;
-use vision::GrayImage;
+use vision::{GrayImage, OrbExtractor, scale};
 
 /// One image of the stream.
 #[derive(Clone, Debug)]
@@ -72,12 +79,46 @@ pub enum ResumeError {
     Map(#[from] MapError),
 }
 
+/// Frames without a key frame after which the trajectory so far is handed out to be stored.
+const MAX_UNRECORDED_FRAMES: usize = 30;
+/// A map with fewer key frames than this is begun anew when the camera is lost.
+const MIN_KEYFRAMES_TO_KEEP: usize = 6;
+
 /// A monocular SLAM session: frames in, reports and map updates out.
+///
+/// One frame passes through `extract`, then either `initialise` (no map yet) or `track`, then `extend` (a frame that
+/// shows something new becomes a key frame, and mapping takes it from there).
 pub struct Pipeline {
     config: SlamConfig,
     camera: Camera,
+    working_camera: Camera,
     clock: Arc<dyn Clock>,
+    extractor: OrbExtractor,
+    mapping: MappingStage,
+    /// The map as tracking sees it at present.
     map: Arc<Map>,
+    tracker: Tracker,
+    /// Present while there is no map to follow.
+    initialiser: Option<Initialiser>,
+    backfill: Backfill,
+    submap: SubmapId,
+    next_keyframe_idx: u64,
+    /// Frames not yet handed to mapping to be stored with the next key frame.
+    unrecorded: Vec<FrameRecord>,
+    /// Frames of a map so young that it may yet be discarded.
+    at_risk: Vec<FrameRecord>,
+    last_frame: Option<(u64, i64)>,
+    mapping_enabled: bool,
+    lossless: bool,
+}
+
+/// What a frame came to, before it is put into words.
+struct Verdict {
+    outcome: TrackingOutcome,
+    frame: Option<TrackedFrame>,
+    n_inliers: usize,
+    relocalised: bool,
+    is_keyframe: bool,
 }
 
 impl Pipeline {
@@ -85,11 +126,8 @@ impl Pipeline {
     ///
     /// # Errors
     /// [`ConfigError`] names the field of the configuration that cannot be used.
-    pub fn new(config: SlamConfig, camera: Camera, clock: Arc<dyn Clock>) -> Result<Self, ConfigError> {
-        Self::resume(config, camera, clock, ResumeState::default()).map_err(|error| match error {
-            ResumeError::Config(error) => error,
-            ResumeError::Map(_) => unreachable!("an empty map is consistent"),
-        })
+    pub fn new(config: SlamConfig, camera: Camera, clock: Arc<dyn Clock>) -> Result<Self, ResumeError> {
+        Self::resume(config, camera, clock, ResumeState::default())
     }
 
     /// A session that goes on with a stored map: it relocalises in it and continues.
@@ -103,8 +141,41 @@ impl Pipeline {
         state: ResumeState,
     ) -> Result<Self, ResumeError> {
         config.validate()?;
-        let map = Arc::new(Map::from_parts(state.map)?);
-        Ok(Self { config, camera, clock, map })
+        let map = Map::from_parts(state.map)?;
+        let extractor = OrbExtractor::new(config.orb)
+            .map_err(|error| ConfigError { field: "orb", reason: error.to_string() })?;
+        let mapper = Mapper::new(config.clone(), map.clone());
+        let mapping = match config.threading {
+            Threading::Inline => MappingStage::inline(mapper),
+            Threading::Background => MappingStage::background(mapper).map_err(|error| ConfigError {
+                field: "threading",
+                reason: format!("the mapping thread cannot be started: {error}"),
+            })?,
+        };
+        let mut tracker = Tracker::new(config.clone());
+        tracker.adopt(&map);
+        let is_empty = map.n_keyframes() == 0;
+        let mut pipeline = Self {
+            working_camera: config.working_camera(&camera),
+            camera,
+            clock,
+            extractor,
+            mapping,
+            tracker,
+            initialiser: is_empty.then(|| Initialiser::new(config.initialisation.clone(), config.seed)),
+            backfill: Backfill::new(config.clone()),
+            submap: map.submaps().last().copied().unwrap_or_default(),
+            next_keyframe_idx: map.last_ids().0,
+            map: Arc::new(map),
+            unrecorded: Vec::new(),
+            at_risk: Vec::new(),
+            last_frame: state.last_frame,
+            mapping_enabled: true,
+            lossless: true,
+            config,
+        };
+        pipeline.choose_n_features();
+        Ok(pipeline)
     }
 
     /// Tracks one frame and, where it is worth it, extends the map.
@@ -112,33 +183,276 @@ impl Pipeline {
     /// # Errors
     /// If the frame cannot be used; the session is as it was before.
     pub fn process_frame(&mut self, frame: Frame) -> Result<FrameReport, FrameError> {
-        let _ = (&self.config, &self.camera, &self.clock, frame);
-        todo!()
+        self.check(&frame)?;
+        self.last_frame = Some((frame.sequence, frame.timestamp_ns));
+        let mut stopwatch = Stopwatch::start(self.clock.clone());
+
+        let view = self.extract(&frame);
+        stopwatch.lap("extract");
+        self.adopt_map();
+        stopwatch.lap("adopt");
+        let mut verdict = if self.initialiser.is_some() { self.initialise(&view) } else { self.track(&view) };
+        stopwatch.lap(if self.initialiser.is_some() { "initialise" } else { "track" });
+        self.record(&view, &verdict);
+        verdict.is_keyframe |= self.extend(&verdict);
+        stopwatch.lap("extend");
+        self.step_backfill(&view, &verdict);
+        stopwatch.lap("backfill");
+
+        Ok(self.report(&view, verdict, stopwatch))
     }
 
     /// The map updates that are ready to be stored, oldest first. Call after each frame.
     pub fn take_updates(&mut self) -> Vec<MapUpdate> {
-        Vec::new()
+        self.mapping.take_updates()
     }
 
     /// Lets mapping finish what it has begun and hands out every frame not yet in an update.
     pub fn finish(&mut self) -> Vec<MapUpdate> {
-        Vec::new()
+        self.mapping.wait();
+        self.adopt_map();
+        while !self.backfill.is_done() {
+            self.unrecorded.extend(self.backfill.step(&self.map, true));
+        }
+        self.flush_records();
+        self.mapping.wait();
+        self.adopt_map();
+        self.take_updates()
     }
 
     /// Whether frames may change the map (the default) or only be located in it.
     pub fn set_mapping(&mut self, enabled: bool) {
-        let _ = enabled;
+        self.mapping_enabled = enabled;
     }
 
     /// How tracking waits for mapping: `true` (the default) waits rather than leave a needed key frame out,
     /// `false` never waits.
     pub fn set_lossless(&mut self, lossless: bool) {
-        let _ = lossless;
+        self.lossless = lossless;
     }
 
     /// The newest consistent state of the map.
     pub fn map(&self) -> Arc<Map> {
-        self.map.clone()
+        self.mapping.newest_map()
+    }
+
+    fn check(&self, frame: &Frame) -> Result<(), FrameError> {
+        let (width, height) = (frame.image.width(), frame.image.height());
+        let (expected_width, expected_height) = (self.camera.width(), self.camera.height());
+        if (width, height) != (expected_width, expected_height) {
+            return Err(FrameError::WrongImageSize { width, height, expected_width, expected_height });
+        }
+        let Some((last_sequence, last_timestamp_ns)) = self.last_frame else { return Ok(()) };
+        if frame.sequence <= last_sequence {
+            return Err(FrameError::SequenceNotIncreasing { sequence: frame.sequence, last_sequence });
+        }
+        if frame.timestamp_ns <= last_timestamp_ns {
+            return Err(FrameError::TimestampNotIncreasing { timestamp_ns: frame.timestamp_ns, last_timestamp_ns });
+        }
+        Ok(())
+    }
+
+    fn extract(&mut self, frame: &Frame) -> View {
+        let (width, height) = (self.working_camera.width(), self.working_camera.height());
+        let extracted = if (frame.image.width(), frame.image.height()) == (width, height) {
+            self.extractor.extract(&frame.image)
+        } else {
+            self.extractor.extract(&scale::resize_area(&frame.image, width, height))
+        };
+        let features = FrameFeatures::from_extracted(extracted, &self.working_camera, self.config.pyramid());
+        View { sequence: frame.sequence, timestamp_ns: frame.timestamp_ns, features: Arc::new(features) }
+    }
+
+    fn adopt_map(&mut self) {
+        let newest = self.mapping.newest_map();
+        if !Arc::ptr_eq(&newest, &self.map) {
+            self.map = newest;
+            self.tracker.adopt(&self.map);
+        }
+    }
+
+    /// Tries to begin a map with this view.
+    fn initialise(&mut self, view: &View) -> Verdict {
+        let attempt = match &mut self.initialiser {
+            Some(initialiser) if self.mapping_enabled => initialiser.try_start(view.clone()),
+            _ => return Verdict::nowhere(TrackingOutcome::Initialising(InitialisationWait::MappingDisabled)),
+        };
+        match attempt {
+            Err(wait) => Verdict::nowhere(TrackingOutcome::Initialising(wait)),
+            Ok(pair) => self.begin_map(pair),
+        }
+    }
+
+    fn begin_map(&mut self, pair: InitialPair) -> Verdict {
+        let n_inliers = pair.points.len();
+        let (first_id, second_id) = (self.next_keyframe_id(), self.next_keyframe_id());
+        let frame_of = |view: &View, camera_from_world, reference| TrackedFrame {
+            sequence: view.sequence,
+            timestamp_ns: view.timestamp_ns,
+            points: vec![None; view.features.len()],
+            features: view.features.clone(),
+            camera_from_world,
+            reference,
+            submap: self.submap,
+        };
+        let first = frame_of(&pair.first, Pose::identity(), first_id);
+        let mut second = frame_of(&pair.second, pair.second_from_first, second_id);
+        let first_record = FrameRecord {
+            sequence: first.sequence,
+            timestamp_ns: first.timestamp_ns,
+            state: FrameState::Tracked,
+            pose: Some(FramePose { submap: self.submap, reference: first_id, camera_from_reference: Pose::identity() }),
+            backfilled: true,
+        };
+        let mut frames = std::mem::take(&mut self.unrecorded);
+        frames.push(first_record);
+        self.at_risk = vec![first_record];
+        self.mapping.begin(InitialMap {
+            first: first.to_keyframe(first_id, None),
+            second: second.to_keyframe(second_id, Some(first_id)),
+            points: pair.points,
+            frames,
+        });
+        self.map = self.mapping.newest_map();
+        if let Some(keyframe) = self.map.keyframe(second_id) {
+            second.points.clone_from(&keyframe.points);
+        }
+        self.initialiser = None;
+        self.choose_n_features();
+        self.tracker.adopt(&self.map);
+        self.tracker.start(second.clone(), &self.map);
+        Verdict {
+            outcome: TrackingOutcome::Tracked,
+            frame: Some(second),
+            n_inliers,
+            relocalised: false,
+            is_keyframe: true,
+        }
+    }
+
+    fn track(&mut self, view: &View) -> Verdict {
+        let Tracked { outcome, frame, n_inliers, relocalised } =
+            self.tracker.track(view.sequence, view.timestamp_ns, view.features.clone(), &self.map);
+        if frame.is_none() && self.mapping_enabled && self.map.n_keyframes() < MIN_KEYFRAMES_TO_KEEP {
+            self.begin_anew();
+        }
+        Verdict { outcome, frame, n_inliers, relocalised, is_keyframe: false }
+    }
+
+    /// Drops a map that was lost before it was of any use.
+    fn begin_anew(&mut self) {
+        self.mapping.discard(self.submap);
+        self.map = self.mapping.newest_map();
+        self.tracker.forget();
+        self.tracker.adopt(&self.map);
+        self.backfill.clear();
+        for record in self.at_risk.drain(..) {
+            self.unrecorded.push(FrameRecord { pose: None, state: FrameState::Initialising, ..record });
+        }
+        self.submap = SubmapId(self.submap.0 + 1);
+        self.initialiser = Some(Initialiser::new(self.config.initialisation.clone(), self.config.seed));
+        self.choose_n_features();
+    }
+
+    /// Notes the frame in the trajectory.
+    fn record(&mut self, view: &View, verdict: &Verdict) {
+        let pose = verdict.frame.as_ref().and_then(|frame| frame.pose_in(&self.map));
+        let record = FrameRecord {
+            sequence: view.sequence,
+            timestamp_ns: view.timestamp_ns,
+            state: verdict.outcome.state(),
+            pose,
+            backfilled: false,
+        };
+        self.unrecorded.push(record);
+        if self.map.n_keyframes() >= MIN_KEYFRAMES_TO_KEEP {
+            self.at_risk.clear();
+        } else if pose.is_some() {
+            self.at_risk.push(record);
+        }
+        if self.unrecorded.len() >= MAX_UNRECORDED_FRAMES {
+            self.flush_records();
+        }
+    }
+
+    fn flush_records(&mut self) {
+        if !self.unrecorded.is_empty() {
+            self.mapping.record(std::mem::take(&mut self.unrecorded));
+        }
+    }
+
+    /// Makes the frame a key frame if it is worth it. Returns whether it did.
+    fn extend(&mut self, verdict: &Verdict) -> bool {
+        let Some(frame) = verdict.frame.as_ref().filter(|_| self.mapping_enabled && !verdict.is_keyframe) else {
+            return false;
+        };
+        let is_good = matches!(verdict.outcome, TrackingOutcome::Tracked);
+        if !is_good || !self.tracker.wants_keyframe(frame, verdict.n_inliers, &self.map) {
+            return false;
+        }
+        if !self.lossless && !self.mapping.is_idle() {
+            return false;
+        }
+        let id = self.next_keyframe_id();
+        let new = NewKeyframe {
+            keyframe: frame.to_keyframe(id, Some(frame.reference)),
+            sightings: self.tracker.take_sightings(),
+            frames: std::mem::take(&mut self.unrecorded),
+        };
+        self.mapping.add_keyframe(new, !self.lossless);
+        self.tracker.became_keyframe(frame.timestamp_ns);
+        true
+    }
+
+    /// Keeps a frame that has no pose for later, and places one of those kept before.
+    fn step_backfill(&mut self, view: &View, verdict: &Verdict) {
+        match &verdict.frame {
+            None => self.backfill.keep(view.clone()),
+            Some(frame) => {
+                self.backfill.placed(frame);
+                if let Some(record) = self.backfill.step(&self.map, false) {
+                    self.unrecorded.push(record);
+                }
+            }
+        }
+    }
+
+    fn report(&self, view: &View, verdict: Verdict, stopwatch: Stopwatch) -> FrameReport {
+        let times = stopwatch.finish();
+        FrameReport {
+            sequence: view.sequence,
+            timestamp_ns: view.timestamp_ns,
+            world_from_camera: verdict.frame.as_ref().map(|frame| frame.camera_from_world.inverse()),
+            submap: verdict.frame.as_ref().map_or(self.submap, |frame| frame.submap),
+            outcome: verdict.outcome,
+            n_keypoints: view.features.len(),
+            n_inlier_points: verdict.n_inliers,
+            n_inlier_lines: 0,
+            is_keyframe: verdict.is_keyframe,
+            relocalised: verdict.relocalised,
+            stages: times.stages,
+            wall_ns: times.wall_ns,
+            cpu_ns: times.cpu_ns,
+        }
+    }
+
+    fn next_keyframe_id(&mut self) -> KeyframeId {
+        self.next_keyframe_idx += 1;
+        KeyframeId::from_index(self.next_keyframe_idx as usize - 1)
+    }
+
+    /// Matches are scarce before there is a map, so more features are asked for.
+    fn choose_n_features(&mut self) {
+        let n_features = match &self.initialiser {
+            Some(_) => self.config.initialisation.n_features.max(self.config.orb.n_features),
+            None => self.config.orb.n_features,
+        };
+        self.extractor.set_n_features(n_features);
+    }
+}
+
+impl Verdict {
+    fn nowhere(outcome: TrackingOutcome) -> Self {
+        Self { outcome, frame: None, n_inliers: 0, relocalised: false, is_keyframe: false }
     }
 }

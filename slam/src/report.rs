@@ -9,6 +9,9 @@ pub enum InitialisationWait {
     /// The first usable frame was kept; motion is needed.
     #[error("first view kept; move the camera sideways")]
     FirstView,
+    /// The session has no map and the stream may not make one.
+    #[error("there is no map yet and this stream may only localise")]
+    MappingDisabled,
     /// The image has too few corners.
     #[error("too few features: {n_keypoints} keypoints, {n_required} needed; point the camera at more texture")]
     TooFewFeatures {

@@ -4,9 +4,11 @@
 //! one owner works on its copy and hands out snapshots, and no reader ever waits.
 
 mod changes;
+mod edit;
 mod ids;
 mod keyframe;
 mod paged;
+mod parts;
 mod point;
 
 pub use changes::{FramePose, FrameRecord, FrameState, MapChanges, MapUpdate};

@@ -1,0 +1,153 @@
+//! Runs the engine alone over a recording and writes the trajectory, for work on the engine itself.
+//!
+//! `cargo run --release -p slam --example track_folder -- DATASET OUT.txt [--inline] [--seed N] [--verbose]`
+//!
+//! The dataset is a folder with `rgb.txt` and `calib.json`. Everything else (other layouts, the service, evaluation)
+//! is the business of `monoslam`.
+
+use geometry::{Camera, CameraModel, CameraParameters};
+use slam::map::{FrameRecord, FrameState};
+use slam::{Clock, Frame, Pipeline, ResumeState, SlamConfig, Threading};
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+use vision::decode::{DecodeLimits, EncodedImage, decode_gray};
+
+struct WallClock(Instant);
+
+impl Clock for WallClock {
+    fn wall_ns(&self) -> u64 {
+        self.0.elapsed().as_nanos() as u64
+    }
+
+    fn thread_cpu_ns(&self) -> u64 {
+        // schedstat: time on the CPU, time waiting, time slices; nanoseconds.
+        let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
+        text.split_whitespace().next().and_then(|word| word.parse().ok()).unwrap_or(0)
+    }
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let flag = |name: &str| arguments.iter().any(|argument| argument == name);
+    let value = |name: &str| arguments.iter().position(|a| a == name).and_then(|at| arguments.get(at + 1));
+    let [dataset, out, ..] = arguments.as_slice() else { return Err("usage: track_folder DATASET OUT.txt".into()) };
+    let dataset = Path::new(dataset);
+    let config = SlamConfig {
+        threading: if flag("--inline") { Threading::Inline } else { Threading::Background },
+        seed: value("--seed").map_or(Ok(0), |seed| seed.parse())?,
+        ..SlamConfig::default()
+    };
+    let camera = read_camera(dataset)?;
+    let clock = Arc::new(WallClock(Instant::now()));
+    let mut pipeline = Pipeline::resume(config, camera, clock, ResumeState::default())?;
+
+    let mut records: BTreeMap<u64, FrameRecord> = BTreeMap::new();
+    let (mut cpu_ms, mut wall_ms) = (Vec::new(), Vec::new());
+    let mut stage_ms: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    let frames = read_frame_list(dataset)?;
+    let start = Instant::now();
+    for (sequence, (timestamp_ns, path)) in frames.iter().enumerate() {
+        let bytes = std::fs::read(dataset.join(path))?;
+        let image = decode_gray(&EncodedImage::Auto(&bytes), &DecodeLimits::default())?;
+        let report =
+            pipeline.process_frame(Frame { sequence: sequence as u64, timestamp_ns: *timestamp_ns, image })?;
+        if flag("--verbose") {
+            println!(
+                "{sequence} {:?} keypoints {} inliers {} keyframe {} relocalised {} {:.1} ms {}",
+                report.outcome.state(),
+                report.n_keypoints,
+                report.n_inlier_points,
+                report.is_keyframe,
+                report.relocalised,
+                report.wall_ns as f64 * 1e-6,
+                report.outcome.reason(),
+            );
+        }
+        *counts.entry(format!("{:?}", report.outcome.state())).or_default() += 1;
+        cpu_ms.push(report.cpu_ns as f64 * 1e-6);
+        wall_ms.push(report.wall_ns as f64 * 1e-6);
+        for stage in &report.stages {
+            stage_ms.entry(stage.name).or_default().push(stage.wall_ns as f64 * 1e-6);
+        }
+        for update in pipeline.take_updates() {
+            records.extend(update.frames.iter().map(|record| (record.sequence, *record)));
+        }
+    }
+    for update in pipeline.finish() {
+        records.extend(update.frames.iter().map(|record| (record.sequence, *record)));
+    }
+    let elapsed = start.elapsed().as_secs_f64();
+
+    let map = pipeline.map();
+    let mut text = String::new();
+    let (mut n_posed, mut n_backfilled) = (0, 0);
+    for record in records.values() {
+        let Some(pose) = record.pose else { continue };
+        let Some(reference_from_world) = map.camera_from_world(pose.reference) else { continue };
+        let world_from_camera = (pose.camera_from_reference * reference_from_world).inverse();
+        let (t, q) = (world_from_camera.translation, world_from_camera.rotation.coords);
+        let seconds = record.timestamp_ns / 1_000_000_000;
+        let nanos = record.timestamp_ns % 1_000_000_000;
+        writeln!(text, "{seconds}.{nanos:09} {} {} {} {} {} {} {}", t.x, t.y, t.z, q.x, q.y, q.z, q.w)?;
+        n_posed += 1;
+        n_backfilled += usize::from(record.backfilled);
+        debug_assert!(record.state != FrameState::Lost);
+    }
+    std::fs::write(out, text)?;
+
+    println!("frames {} posed {n_posed} backfilled {n_backfilled} {counts:?}", frames.len());
+    println!("key frames {} (made {}) points {}", map.n_keyframes(), map.last_ids().0, map.n_points());
+    println!("cpu ms: {} wall ms: {} total {elapsed:.1} s", summary(&mut cpu_ms), summary(&mut wall_ms));
+    for (name, times) in &mut stage_ms {
+        println!("  {name}: {}", summary(times));
+    }
+    map.check()?;
+    Ok(())
+}
+
+fn summary(values: &mut [f64]) -> String {
+    values.sort_by(f64::total_cmp);
+    let at = |share: f64| values.get((values.len() as f64 * share) as usize).copied().unwrap_or(0.0);
+    format!("median {:.2} p95 {:.2}", at(0.5), at(0.95))
+}
+
+fn read_frame_list(dataset: &Path) -> Result<Vec<(i64, String)>, Box<dyn Error>> {
+    let text = std::fs::read_to_string(dataset.join("rgb.txt"))?;
+    let lines = text.lines().filter(|line| !line.trim().is_empty() && !line.starts_with('#'));
+    lines
+        .map(|line| {
+            let (time, path) = line.split_once(' ').ok_or("a line of rgb.txt is not `time path`")?;
+            let (seconds, fraction) = time.split_once('.').unwrap_or((time, "0"));
+            let nanos: i64 = format!("{fraction:0<9}")[..9].parse()?;
+            Ok((seconds.parse::<i64>()? * 1_000_000_000 + nanos, path.trim().to_owned()))
+        })
+        .collect()
+}
+
+fn read_camera(dataset: &Path) -> Result<Camera, Box<dyn Error>> {
+    let json: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(dataset.join("calib.json"))?)?;
+    let number = |name: &str| json[name].as_f64().ok_or(format!("calib.json: {name} is missing"));
+    let model = match json["model"].as_str() {
+        Some("pinhole") => CameraModel::Pinhole,
+        Some("radtan") => CameraModel::Radtan,
+        Some("kannala_brandt" | "equidistant") => CameraModel::KannalaBrandt,
+        Some("fov") => CameraModel::Fov,
+        other => return Err(format!("calib.json: unknown model {other:?}").into()),
+    };
+    let distortion = json["dist"].as_array().into_iter().flatten().filter_map(serde_json::Value::as_f64).collect();
+    Ok(Camera::new(CameraParameters {
+        model,
+        width: number("width")? as u32,
+        height: number("height")? as u32,
+        fx: number("fx")?,
+        fy: number("fy")?,
+        cx: number("cx")?,
+        cy: number("cy")?,
+        distortion,
+    })?)
+}

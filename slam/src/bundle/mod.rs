@@ -1,0 +1,5 @@
+//! Bundle adjustment: poses and landmarks that agree best with everything that was seen.
+
+pub mod factors;
+pub(crate) mod local;
+pub(crate) mod two_view;

@@ -1,0 +1,186 @@
+//! Making the first map: two views far enough apart, a motion between them that nothing else explains, and a third
+//! view that agrees.
+
+mod matching;
+mod third_view;
+mod two_view;
+
+use crate::bundle;
+use crate::bundle::factors::PointReprojectionFactor;
+use crate::config::InitialisationConfig;
+use crate::features::FrameFeatures;
+use crate::report::InitialisationWait;
+use geometry::Pose;
+use geometry::nalgebra::Vector3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use two_view::TwoViewMotion;
+
+/// The width of image that pixel distances in the configuration are meant for.
+const REFERENCE_WIDTH_PX: f64 = 640.0;
+
+/// A frame that may become one of the first two key frames.
+#[derive(Clone, Debug)]
+pub(crate) struct View {
+    pub sequence: u64,
+    pub timestamp_ns: i64,
+    pub features: Arc<FrameFeatures>,
+}
+
+/// Two views with the motion between them and what both see. The median depth in the first view is 1.
+#[derive(Clone, Debug)]
+pub(crate) struct InitialPair {
+    pub first: View,
+    pub second: View,
+    pub second_from_first: Pose,
+    /// Keypoint of the first view, keypoint of the second, position in the first camera's frame.
+    pub points: Vec<(usize, usize, Vector3<f64>)>,
+}
+
+/// Keeps recent views and tries to start a map from pairs of them.
+pub(crate) struct Initialiser {
+    config: InitialisationConfig,
+    views: VecDeque<View>,
+    rng: ChaCha8Rng,
+}
+
+impl Initialiser {
+    pub fn new(config: InitialisationConfig, seed: u64) -> Self {
+        Self { config, views: VecDeque::new(), rng: ChaCha8Rng::seed_from_u64(seed) }
+    }
+
+    /// Tries to start a map with this view as the second one; keeps it as a possible first one otherwise.
+    pub fn try_start(&mut self, view: View) -> Result<InitialPair, InitialisationWait> {
+        let (n_keypoints, n_required) = (view.features.len(), self.config.min_keypoints);
+        if n_keypoints < n_required {
+            return Err(InitialisationWait::TooFewFeatures { n_keypoints, n_required });
+        }
+        let attempt = self.attempt(&view);
+        if attempt.is_err() {
+            if self.views.len() == self.config.max_reference_views {
+                self.views.pop_front();
+            }
+            self.views.push_back(view);
+        }
+        attempt
+    }
+
+    /// The kept views, oldest first.
+    pub fn views(&self) -> impl Iterator<Item = &View> {
+        self.views.iter()
+    }
+
+    /// Tries pairs from the widest baseline to shorter ones.
+    fn attempt(&mut self, view: &View) -> Result<InitialPair, InitialisationWait> {
+        let mut wait = InitialisationWait::FirstView;
+        // Views too old to share anything with the present one only cost time.
+        while let Some(oldest) = self.views.front() {
+            let n_matches = self.matches(oldest, view).len();
+            if n_matches >= self.config.min_matches {
+                break;
+            }
+            wait = InitialisationWait::TooFewMatches { n_matches, n_required: self.config.min_matches };
+            self.views.pop_front();
+        }
+        let n = self.views.len();
+        let mut tried = Vec::new();
+        for attempt in 0..self.config.max_attempts_per_frame {
+            let position = n - (n >> attempt);
+            if position >= n || tried.contains(&position) {
+                continue;
+            }
+            tried.push(position);
+            let reference = self.views[position].clone();
+            match self.try_pair(&reference, view) {
+                Ok(pair) => return Ok(pair),
+                Err(reason) => wait = more_telling(wait, reason),
+            }
+        }
+        Err(wait)
+    }
+
+    fn matches(&self, first: &View, second: &View) -> Vec<(usize, usize)> {
+        let width = f64::from(first.features.bounds.max_x - first.features.bounds.min_x);
+        let radius_px = self.config.search_radius_px * width / REFERENCE_WIDTH_PX;
+        matching::match_views(&first.features, &second.features, radius_px)
+    }
+
+    fn try_pair(&mut self, first: &View, second: &View) -> Result<InitialPair, InitialisationWait> {
+        let matches = self.matches(first, second);
+        let (n_matches, n_required) = (matches.len(), self.config.min_matches);
+        if n_matches < n_required {
+            return Err(InitialisationWait::TooFewMatches { n_matches, n_required });
+        }
+        let motion = two_view::solve(&first.features, &second.features, &matches, &self.config, &mut self.rng)?;
+        let pair = refine(first, second, &matches, &motion);
+        let n_agreeing = pair.points.len();
+        if n_agreeing < self.config.min_points {
+            return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
+        }
+        self.confirm(pair)
+    }
+
+    /// A view between the two must see the points where the motion puts them.
+    fn confirm(&mut self, pair: InitialPair) -> Result<InitialPair, InitialisationWait> {
+        let between: Vec<&View> = self
+            .views
+            .iter()
+            .filter(|view| view.sequence > pair.first.sequence && view.sequence < pair.second.sequence)
+            .collect();
+        let Some(third) = between.get(between.len() / 2) else { return Ok(pair) };
+        let (n_confirmed, n_looked_for) = third_view::confirm(&pair, third, &self.config, &mut self.rng);
+        if (n_confirmed as f64) < self.config.min_third_view_share * n_looked_for as f64 {
+            let (n_agreeing, n_matches) = (n_confirmed, n_looked_for);
+            return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
+        }
+        Ok(pair)
+    }
+}
+
+/// The reason that is nearer to success: few matches, then little parallax, then ambiguity.
+fn more_telling(a: InitialisationWait, b: InitialisationWait) -> InitialisationWait {
+    let rank = |wait: &InitialisationWait| match wait {
+        InitialisationWait::FirstView | InitialisationWait::MappingDisabled => 0,
+        InitialisationWait::TooFewFeatures { .. } => 1,
+        InitialisationWait::TooFewMatches { .. } => 2,
+        InitialisationWait::TooLittleParallax { .. } => 3,
+        InitialisationWait::Ambiguous { .. } => 4,
+    };
+    if rank(&b) > rank(&a) { b } else { a }
+}
+
+/// Bundle adjustment of the two views, points that disagree left out, and the median depth as the unit of length.
+fn refine(first: &View, second: &View, matches: &[(usize, usize)], motion: &TwoViewMotion) -> InitialPair {
+    let factor = |features: &FrameFeatures, feature_idx: usize| PointReprojectionFactor {
+        pinhole: features.pinhole,
+        observed_px: features.undistorted[feature_idx],
+        inverse_sigma: 1.0 / features.sigma_px(feature_idx),
+    };
+    let problem: Vec<_> = motion
+        .points
+        .iter()
+        .map(|(match_idx, position)| {
+            let (a, b) = matches[*match_idx];
+            (*position, [factor(&first.features, a), factor(&second.features, b)])
+        })
+        .collect();
+    let (second_from_first, refined) =
+        bundle::two_view::refine(Pose::identity(), motion.second_from_first, &problem);
+    let mut points: Vec<(usize, usize, Vector3<f64>)> = motion
+        .points
+        .iter()
+        .zip(refined)
+        .filter_map(|((match_idx, _), position)| {
+            let (a, b) = matches[*match_idx];
+            Some((a, b, position?))
+        })
+        .collect();
+    let mut depths: Vec<f64> = points.iter().map(|(_, _, position)| position.z).collect();
+    depths.sort_by(f64::total_cmp);
+    let unit = depths.get(depths.len() / 2).copied().unwrap_or(1.0);
+    points.iter_mut().for_each(|(_, _, position)| *position /= unit);
+    let second_from_first = Pose::new(second_from_first.rotation, second_from_first.translation / unit);
+    InitialPair { first: first.clone(), second: second.clone(), second_from_first, points }
+}

@@ -1,0 +1,261 @@
+//! The motion between two views from their matches alone, with the choice between a planar and a general scene.
+
+use crate::config::InitialisationConfig;
+use crate::features::FrameFeatures;
+use crate::report::InitialisationWait;
+use geometry::nalgebra::{Matrix3, Vector2, Vector3};
+use geometry::ransac::{Estimator, RansacConfig, ransac};
+use geometry::{Pinhole, Pose, so3, triangulation, two_view};
+use optim::chi2_95;
+use rand_chacha::ChaCha8Rng;
+
+/// Score of a perfect match, minus its squared errors: the larger of the two models' thresholds. [ALGORITHMS 7.2]
+const SCORE_CEILING: f64 = 5.991;
+/// Share of the planar model in the sum of both scores from which the scene is taken to be planar.
+const PLANAR_SHARE: f64 = 0.45;
+/// A triangulated point must reproject within this, squared standard deviations: two pixels at the finest level.
+const MAX_REPROJECTION_CHI2: f64 = 4.0;
+/// The parallax that counts is that of the point of this rank.
+const PARALLAX_RANK: usize = 50;
+/// Rays closer to parallel than this tell nothing of the sign of the depth, as a cosine.
+const PARALLEL_COSINE: f64 = 0.999_98;
+
+/// One match in the coordinates the solvers want.
+#[derive(Clone, Copy, Debug)]
+struct Correspondence {
+    /// Normalised image coordinates, (pixel - centre) / focal length.
+    first: Vector2<f64>,
+    second: Vector2<f64>,
+    first_bearing: Vector3<f64>,
+    second_bearing: Vector3<f64>,
+    /// Variances of the positions, normalised coordinates squared.
+    first_variance: f64,
+    second_variance: f64,
+}
+
+/// A motion with the points it gives.
+#[derive(Clone, Debug)]
+pub(super) struct TwoViewMotion {
+    pub second_from_first: Pose,
+    /// Index of the match, position in the first camera's frame (unit baseline).
+    pub points: Vec<(usize, Vector3<f64>)>,
+    pub parallax_deg: f64,
+}
+
+/// Finds the motion, or says why there is none.
+pub(super) fn solve(
+    first: &FrameFeatures,
+    second: &FrameFeatures,
+    matches: &[(usize, usize)],
+    config: &InitialisationConfig,
+    rng: &mut ChaCha8Rng,
+) -> Result<TwoViewMotion, InitialisationWait> {
+    let correspondences: Vec<Correspondence> =
+        matches.iter().map(|(a, b)| Correspondence::new(first, *a, second, *b)).collect();
+    let n_matches = correspondences.len();
+    let nothing = InitialisationWait::Ambiguous { n_agreeing: 0, n_runner_up: 0, n_matches };
+    let motions = candidate_motions(&correspondences, config, rng);
+    let mut judged: Vec<TwoViewMotion> =
+        motions.iter().map(|motion| judge(motion, &correspondences)).collect();
+    judged.sort_by_key(|motion| std::cmp::Reverse(motion.points.len()));
+    let mut judged = judged.into_iter();
+    let best = judged.next().ok_or(nothing)?;
+    // Nearly equal motions are the same motion found twice.
+    let n_runner_up = judged.find(|other| differs(&best, other)).map_or(0, |other| other.points.len());
+    let n_agreeing = best.points.len();
+    let ambiguous = n_runner_up as f64 > config.max_runner_up_share * n_agreeing as f64;
+    // Without parallax every motion of the same rotation explains the matches, so that is the reason to give.
+    if best.parallax_deg < config.min_parallax_deg {
+        let (parallax_deg, required_deg) = (best.parallax_deg, config.min_parallax_deg);
+        return Err(InitialisationWait::TooLittleParallax { parallax_deg, required_deg });
+    }
+    let too_few = n_agreeing < config.min_points
+        || (n_agreeing as f64) < config.min_inlier_share * n_matches as f64;
+    if ambiguous || too_few {
+        return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up, n_matches });
+    }
+    Ok(best)
+}
+
+/// Two motions are different hypotheses when they turn or head differently by more than this, radians.
+const DISTINCT_ANGLE: f64 = 0.05;
+
+fn differs(a: &TwoViewMotion, b: &TwoViewMotion) -> bool {
+    let (a, b) = (&a.second_from_first, &b.second_from_first);
+    so3::angle_between(&a.rotation, &b.rotation) > DISTINCT_ANGLE
+        || a.translation.angle(&b.translation) > DISTINCT_ANGLE
+}
+
+/// Motions that the better of the two models allows.
+fn candidate_motions(
+    correspondences: &[Correspondence],
+    config: &InitialisationConfig,
+    rng: &mut ChaCha8Rng,
+) -> Vec<Pose> {
+    let search = |max_squared_residual| RansacConfig {
+        max_squared_residual,
+        max_iterations: config.max_iterations,
+        ..RansacConfig::default()
+    };
+    let general = ransac(&EssentialEstimator { correspondences }, &search(chi2_95(1)), rng);
+    let planar = ransac(&HomographyEstimator { correspondences }, &search(chi2_95(2)), rng);
+    let score = |residual: &dyn Fn(&Correspondence) -> f64, threshold: f64| -> f64 {
+        let squared = correspondences.iter().map(residual);
+        squared.filter(|squared| *squared < threshold).map(|squared| SCORE_CEILING - squared).sum()
+    };
+    let general_score =
+        general.as_ref().map_or(0.0, |found| score(&|c| c.squared_sampson(&found.model), chi2_95(1)));
+    let planar_score =
+        planar.as_ref().map_or(0.0, |found| score(&|c| c.squared_transfer(&found.model), chi2_95(2)));
+    let planar_share = planar_score / (planar_score + general_score).max(f64::MIN_POSITIVE);
+    let mut motions = Vec::new();
+    if let Some(found) = planar.filter(|_| planar_share > PLANAR_SHARE) {
+        motions.extend(two_view::decompose_homography(&found.model.h).into_iter().map(|(pose, _)| unit_baseline(pose)));
+    } else if let Some(found) = general {
+        motions.extend(two_view::decompose_essential(&found.model).into_iter().flatten().map(unit_baseline));
+    }
+    motions.retain(Pose::is_finite);
+    motions
+}
+
+fn unit_baseline(pose: Pose) -> Pose {
+    Pose::new(pose.rotation, pose.translation.normalize())
+}
+
+/// Triangulates every match under a motion and keeps the points that make sense.
+fn judge(second_from_first: &Pose, correspondences: &[Correspondence]) -> TwoViewMotion {
+    let mut points = Vec::new();
+    let mut parallaxes = Vec::new();
+    let second_centre = second_from_first.centre();
+    for (match_idx, c) in correspondences.iter().enumerate() {
+        let ray = second_from_first.rotation.inverse() * c.second_bearing;
+        let identity = Pose::identity();
+        let point = triangulation::two_view(&identity, &c.first_bearing, second_from_first, &c.second_bearing);
+        let Some(point) = point else { continue };
+        let in_second = second_from_first.transform(&point);
+        if point.z <= 0.0 || in_second.z <= 0.0 || ray.dot(&c.first_bearing) > PARALLEL_COSINE {
+            continue;
+        }
+        let chi2_first = (point.xy() / point.z - c.first).norm_squared() / c.first_variance;
+        let chi2_second = (in_second.xy() / in_second.z - c.second).norm_squared() / c.second_variance;
+        if chi2_first.max(chi2_second) > MAX_REPROJECTION_CHI2 {
+            continue;
+        }
+        parallaxes.push(triangulation::parallax(&Vector3::zeros(), &second_centre, &point));
+        points.push((match_idx, point));
+    }
+    parallaxes.sort_by(|a, b| b.total_cmp(a));
+    let rank = PARALLAX_RANK.min(parallaxes.len()).saturating_sub(1);
+    let parallax_deg = parallaxes.get(rank).map_or(0.0, |parallax| parallax.to_degrees());
+    TwoViewMotion { second_from_first: *second_from_first, points, parallax_deg }
+}
+
+impl Correspondence {
+    fn new(first: &FrameFeatures, first_idx: usize, second: &FrameFeatures, second_idx: usize) -> Self {
+        let variance = |features: &FrameFeatures, idx: usize| {
+            let sigma = features.sigma_px(idx) / features.pinhole.mean_focal_px();
+            sigma * sigma
+        };
+        let of = |pinhole: &Pinhole, pixel| (pinhole.normalised(pixel), pinhole.bearing(pixel));
+        let (a, first_bearing) = of(&first.pinhole, &first.undistorted[first_idx]);
+        let (b, second_bearing) = of(&second.pinhole, &second.undistorted[second_idx]);
+        Self {
+            first: a,
+            second: b,
+            first_bearing,
+            second_bearing,
+            first_variance: variance(first, first_idx),
+            second_variance: variance(second, second_idx),
+        }
+    }
+
+    /// Squared first-order distance to the epipolar constraint, in standard deviations [Sampson].
+    #[inline]
+    fn squared_sampson(&self, essential: &Matrix3<f64>) -> f64 {
+        let (a, b) = (self.first.push(1.0), self.second.push(1.0));
+        let (line_in_second, line_in_first) = (essential * a, essential.transpose() * b);
+        let error = b.dot(&line_in_second);
+        let variance = line_in_second.xy().norm_squared() * self.second_variance
+            + line_in_first.xy().norm_squared() * self.first_variance;
+        error * error / variance
+    }
+
+    /// The larger squared transfer error of the two directions, in standard deviations.
+    #[inline]
+    fn squared_transfer(&self, planar: &Planar) -> f64 {
+        let (forward, backward) = (planar.h * self.first.push(1.0), planar.inverse * self.second.push(1.0));
+        let error_second = (forward.xy() / forward.z - self.second).norm_squared() / self.second_variance;
+        let error_first = (backward.xy() / backward.z - self.first).norm_squared() / self.first_variance;
+        error_first.max(error_second)
+    }
+}
+
+struct EssentialEstimator<'a> {
+    correspondences: &'a [Correspondence],
+}
+
+impl Estimator for EssentialEstimator<'_> {
+    type Model = Matrix3<f64>;
+
+    fn sample_size(&self) -> usize {
+        5
+    }
+
+    fn n_data(&self) -> usize {
+        self.correspondences.len()
+    }
+
+    fn fit_sample(&self, sample: &[usize], models: &mut Vec<Matrix3<f64>>) {
+        let firsts: Vec<_> = sample.iter().map(|idx| self.correspondences[*idx].first_bearing).collect();
+        let seconds: Vec<_> = sample.iter().map(|idx| self.correspondences[*idx].second_bearing).collect();
+        models.extend(two_view::essential_five_point(&firsts, &seconds));
+    }
+
+    fn squared_residual(&self, essential: &Matrix3<f64>, datum: usize) -> f64 {
+        self.correspondences[datum].squared_sampson(essential)
+    }
+}
+
+#[derive(Clone, Debug)]
+struct Planar {
+    h: Matrix3<f64>,
+    inverse: Matrix3<f64>,
+}
+
+struct HomographyEstimator<'a> {
+    correspondences: &'a [Correspondence],
+}
+
+impl HomographyEstimator<'_> {
+    fn fit(&self, indices: &[usize]) -> Option<Planar> {
+        let firsts: Vec<_> = indices.iter().map(|idx| self.correspondences[*idx].first).collect();
+        let seconds: Vec<_> = indices.iter().map(|idx| self.correspondences[*idx].second).collect();
+        let h = two_view::homography_four_point(&firsts, &seconds)?;
+        let inverse = h.try_inverse()?;
+        Some(Planar { h, inverse })
+    }
+}
+
+impl Estimator for HomographyEstimator<'_> {
+    type Model = Planar;
+
+    fn sample_size(&self) -> usize {
+        4
+    }
+
+    fn n_data(&self) -> usize {
+        self.correspondences.len()
+    }
+
+    fn fit_sample(&self, sample: &[usize], models: &mut Vec<Planar>) {
+        models.extend(self.fit(sample));
+    }
+
+    fn squared_residual(&self, planar: &Planar, datum: usize) -> f64 {
+        self.correspondences[datum].squared_transfer(planar)
+    }
+
+    fn refine(&self, _: &Planar, inliers: &[usize]) -> Option<Planar> {
+        self.fit(inliers)
+    }
+}

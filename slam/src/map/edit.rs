@@ -1,0 +1,354 @@
+//! Changing a map. Every change keeps both sides of an observation in step and notes the rows it touches.
+
+use super::{Keyframe, KeyframeId, Map, MapChanges, Observation, PointId, PointLandmark, RemovedKeyframe, SubmapId};
+use geometry::Pose;
+use geometry::nalgebra::Vector3;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use vision::Descriptor;
+
+impl Map {
+    /// The id the next key frame will have.
+    pub(crate) fn next_keyframe_id(&self) -> KeyframeId {
+        KeyframeId::from_index(self.next_keyframe_idx)
+    }
+
+    /// Hands out what changed since the last call and begins anew.
+    pub(crate) fn take_changes(&mut self) -> MapChanges {
+        std::mem::take(&mut self.changes)
+    }
+
+    /// Puts a key frame into the map. Observations in its `points` are entered at the landmarks; those of
+    /// landmarks that are gone, or already seen by another keypoint of the frame, are dropped.
+    pub(crate) fn add_keyframe(&mut self, mut keyframe: Keyframe) {
+        let id = keyframe.id;
+        self.next_keyframe_idx = self.next_keyframe_idx.max(id.index() + 1);
+        for (feature_idx, slot) in keyframe.points.iter_mut().enumerate() {
+            let Some(point_id) = *slot else { continue };
+            let observation = Observation { keyframe: id, feature_idx: feature_idx as u32 };
+            if !self.enter_observation(point_id, observation) {
+                *slot = None;
+            }
+        }
+        self.changes.keyframes.insert(id);
+        self.keyframes.insert(id.index(), keyframe);
+    }
+
+    /// Takes a key frame out, with its observations. Frames and key frames that hang on it hang on `anchor` from
+    /// now on. Points left with fewer than two observations go too.
+    pub(crate) fn remove_keyframe(&mut self, id: KeyframeId, anchor: KeyframeId) {
+        let Some(anchor_from_world) = self.keyframe(anchor).map(|keyframe| keyframe.camera_from_world) else {
+            return;
+        };
+        let Some(removed) = self.keyframes.remove(id.index()) else { return };
+        for (_, point_id) in removed.observed_points() {
+            self.leave_observation(point_id, id);
+        }
+        let camera_from_anchor = removed.camera_from_world * anchor_from_world.inverse();
+        Arc::make_mut(&mut self.removed_keyframes)
+            .insert(id, RemovedKeyframe { id, anchor, camera_from_anchor });
+        let children: Vec<KeyframeId> =
+            self.keyframes().filter(|keyframe| keyframe.parent == Some(id)).map(|keyframe| keyframe.id).collect();
+        for child in children {
+            let parent = if child == anchor { removed.parent } else { Some(anchor) };
+            self.edit_keyframe(child, |keyframe| keyframe.parent = parent);
+        }
+        for (neighbour, _) in removed.covisible.iter() {
+            if let Some(keyframe) = self.keyframes.get_mut(neighbour.index()) {
+                keyframe.covisible.retain(|(other, _)| *other != id);
+            }
+        }
+        self.changes.keyframes.remove(&id);
+        self.changes.removed_keyframes.insert(id);
+    }
+
+    /// Makes a point seen by the given keypoints; `None` if fewer than two of them are free.
+    pub(crate) fn add_point(
+        &mut self,
+        position: Vector3<f64>,
+        created_by: KeyframeId,
+        observations: &[Observation],
+    ) -> Option<PointId> {
+        if !position.iter().all(|value| value.is_finite()) {
+            return None;
+        }
+        let mut free: Vec<Observation> = observations
+            .iter()
+            .copied()
+            .filter(|seen| {
+                self.keyframe(seen.keyframe).is_some_and(|keyframe| keyframe.points[seen.feature_idx as usize].is_none())
+            })
+            .collect();
+        free.sort_unstable();
+        free.dedup_by_key(|seen| seen.keyframe);
+        if free.len() < 2 {
+            return None;
+        }
+        let submap = self.keyframe(created_by)?.submap;
+        let id = PointId::from_index(self.next_point_idx);
+        self.next_point_idx += 1;
+        for seen in &free {
+            self.edit_keyframe(seen.keyframe, |keyframe| keyframe.points[seen.feature_idx as usize] = Some(id));
+        }
+        let point = PointLandmark {
+            id,
+            submap,
+            position,
+            descriptor: Descriptor([0; 4]),
+            mean_view_direction: Vector3::z(),
+            distance_range: (0.0, f64::INFINITY),
+            created_by,
+            observations: free,
+            n_visible: 1,
+            n_found: 1,
+        };
+        self.points.insert(id.index(), point);
+        self.changes.points.insert(id);
+        self.refresh_point(id);
+        Some(id)
+    }
+
+    /// Enters that a keypoint sees a point. Nothing happens if either is taken or gone.
+    pub(crate) fn add_observation(&mut self, point_id: PointId, seen: Observation) -> bool {
+        let free = self
+            .keyframe(seen.keyframe)
+            .is_some_and(|keyframe| keyframe.points[seen.feature_idx as usize].is_none());
+        if !free || !self.enter_observation(point_id, seen) {
+            return false;
+        }
+        self.edit_keyframe(seen.keyframe, |keyframe| keyframe.points[seen.feature_idx as usize] = Some(point_id));
+        true
+    }
+
+    /// Undoes a sighting; a point left with fewer than two is removed.
+    pub(crate) fn remove_observation(&mut self, point_id: PointId, keyframe_id: KeyframeId) {
+        let Some(feature_idx) = self.point(point_id).and_then(|point| point.observation_in(keyframe_id)) else {
+            return;
+        };
+        self.edit_keyframe(keyframe_id, |keyframe| keyframe.points[feature_idx as usize] = None);
+        self.leave_observation(point_id, keyframe_id);
+    }
+
+    /// Takes a point out of the map and of every key frame that sees it.
+    pub(crate) fn remove_point(&mut self, id: PointId) {
+        let Some(point) = self.points.remove(id.index()) else { return };
+        for seen in &point.observations {
+            self.edit_keyframe(seen.keyframe, |keyframe| keyframe.points[seen.feature_idx as usize] = None);
+        }
+        self.changes.points.remove(&id);
+        self.changes.removed_points.insert(id);
+    }
+
+    /// Joins two points that are the same: `kept` takes over what `gone` was seen by.
+    pub(crate) fn fuse_points(&mut self, kept: PointId, gone: PointId) {
+        if kept == gone || self.point(kept).is_none() {
+            return;
+        }
+        let Some(other) = self.point(gone).cloned() else { return };
+        self.remove_point(gone);
+        for seen in &other.observations {
+            self.add_observation(kept, *seen);
+        }
+        self.edit_point(kept, |point| {
+            point.n_visible = point.n_visible.saturating_add(other.n_visible);
+            point.n_found = point.n_found.saturating_add(other.n_found);
+        });
+    }
+
+    /// Moves a key frame. A pose that is not finite is refused.
+    pub(crate) fn set_pose(&mut self, id: KeyframeId, camera_from_world: Pose) {
+        if camera_from_world.is_finite() {
+            self.edit_keyframe(id, |keyframe| keyframe.camera_from_world = camera_from_world);
+        }
+    }
+
+    /// Hangs a key frame on another in the spanning tree.
+    pub(crate) fn set_parent(&mut self, id: KeyframeId, parent: KeyframeId) {
+        if id != parent {
+            self.edit_keyframe(id, |keyframe| keyframe.parent = Some(parent));
+        }
+    }
+
+    /// Takes out every key frame and point of a submap that came to nothing.
+    pub(crate) fn remove_submap(&mut self, submap: SubmapId) {
+        let points: Vec<PointId> =
+            self.points().filter(|point| point.submap == submap).map(|point| point.id).collect();
+        points.into_iter().for_each(|id| self.remove_point(id));
+        let keyframes: Vec<KeyframeId> =
+            self.keyframes().filter(|keyframe| keyframe.submap == submap).map(|keyframe| keyframe.id).collect();
+        for id in keyframes {
+            self.keyframes.remove(id.index());
+            self.changes.keyframes.remove(&id);
+            self.changes.removed_keyframes.insert(id);
+        }
+        let orphans: Vec<KeyframeId> = self.removed_keyframes.keys().copied().collect();
+        let orphans: Vec<KeyframeId> =
+            orphans.into_iter().filter(|id| self.camera_from_world(*id).is_none()).collect();
+        if !orphans.is_empty() {
+            let removed = Arc::make_mut(&mut self.removed_keyframes);
+            orphans.iter().for_each(|id| drop(removed.remove(id)));
+        }
+    }
+
+    /// Moves a point. A position that is not finite is refused.
+    pub(crate) fn set_position(&mut self, id: PointId, position: Vector3<f64>) {
+        if position.iter().all(|value| value.is_finite()) {
+            self.edit_point(id, |point| point.position = position);
+        }
+    }
+
+    /// Adds to how often points should have been visible and were found. Not worth a row of its own in the store:
+    /// it is written when the point changes otherwise.
+    pub(crate) fn count_sightings(&mut self, id: PointId, n_visible: u32, n_found: u32) {
+        if let Some(point) = self.points.get_mut(id.index()) {
+            point.n_visible = point.n_visible.saturating_add(n_visible);
+            point.n_found = point.n_found.saturating_add(n_found);
+        }
+    }
+
+    /// Recomputes what is derived from a point's observations: descriptor, viewing direction, distances.
+    pub(crate) fn refresh_point(&mut self, id: PointId) {
+        let Some(point) = self.point(id) else { return };
+        let Some(summary) = PointSummary::of(self, point) else { return };
+        self.edit_point(id, |point| {
+            point.descriptor = summary.descriptor;
+            point.mean_view_direction = summary.mean_view_direction;
+            point.distance_range = summary.distance_range;
+        });
+    }
+
+    /// Recomputes viewing direction and distances after a point or its cameras moved; the descriptor stays.
+    pub(crate) fn refresh_point_geometry(&mut self, id: PointId) {
+        let Some(point) = self.point(id) else { return };
+        let Some((mean_view_direction, distance_range)) = view_geometry(self, point) else { return };
+        self.edit_point(id, |point| {
+            point.mean_view_direction = mean_view_direction;
+            point.distance_range = distance_range;
+        });
+    }
+
+    /// Recomputes which key frames share points with this one, on both sides.
+    ///
+    /// The strongest edge is kept even when it is below `min_shared`, so that no key frame is alone.
+    pub(crate) fn refresh_covisibility(&mut self, id: KeyframeId, min_shared: u32) {
+        let Some(keyframe) = self.keyframe(id) else { return };
+        let mut shared: BTreeMap<KeyframeId, u32> = BTreeMap::new();
+        for (_, point_id) in keyframe.observed_points() {
+            let Some(point) = self.point(point_id) else { continue };
+            for seen in point.observations.iter().filter(|seen| seen.keyframe != id) {
+                *shared.entry(seen.keyframe).or_default() += 1;
+            }
+        }
+        let strongest = shared.iter().max_by_key(|(other, n)| (**n, std::cmp::Reverse(**other))).map(|(other, _)| *other);
+        let before: Vec<KeyframeId> = keyframe.covisible.iter().map(|(other, _)| *other).collect();
+        let mut covisible: Vec<(KeyframeId, u32)> =
+            shared.into_iter().filter(|(other, n)| *n >= min_shared || Some(*other) == strongest).collect();
+        sort_by_weight(&mut covisible);
+        for other in before.into_iter().filter(|other| covisible.iter().all(|(kept, _)| kept != other)) {
+            if let Some(neighbour) = self.keyframes.get_mut(other.index()) {
+                neighbour.covisible.retain(|(back, _)| *back != id);
+            }
+        }
+        for (other, n) in &covisible {
+            if let Some(neighbour) = self.keyframes.get_mut(other.index()) {
+                neighbour.covisible.retain(|(back, _)| *back != id);
+                neighbour.covisible.push((id, *n));
+                sort_by_weight(&mut neighbour.covisible);
+            }
+        }
+        if let Some(keyframe) = self.keyframes.get_mut(id.index()) {
+            keyframe.covisible = covisible;
+        }
+    }
+
+    fn enter_observation(&mut self, point_id: PointId, seen: Observation) -> bool {
+        let mut entered = false;
+        self.edit_point(point_id, |point| {
+            if let Err(position) = point.observations.binary_search_by_key(&seen.keyframe, |other| other.keyframe) {
+                point.observations.insert(position, seen);
+                entered = true;
+            }
+        });
+        entered
+    }
+
+    fn leave_observation(&mut self, point_id: PointId, keyframe_id: KeyframeId) {
+        let mut n_left = usize::MAX;
+        self.edit_point(point_id, |point| {
+            point.observations.retain(|seen| seen.keyframe != keyframe_id);
+            n_left = point.observations.len();
+        });
+        if n_left < 2 {
+            self.remove_point(point_id);
+        }
+    }
+
+    fn edit_keyframe(&mut self, id: KeyframeId, edit: impl FnOnce(&mut Keyframe)) {
+        if let Some(keyframe) = self.keyframes.get_mut(id.index()) {
+            edit(keyframe);
+            self.changes.keyframes.insert(id);
+        }
+    }
+
+    fn edit_point(&mut self, id: PointId, edit: impl FnOnce(&mut PointLandmark)) {
+        if let Some(point) = self.points.get_mut(id.index()) {
+            edit(point);
+            self.changes.points.insert(id);
+        }
+    }
+}
+
+fn sort_by_weight(covisible: &mut [(KeyframeId, u32)]) {
+    covisible.sort_by_key(|(id, n)| (std::cmp::Reverse(*n), *id));
+}
+
+/// What a point's observations say of it.
+struct PointSummary {
+    descriptor: Descriptor,
+    mean_view_direction: Vector3<f64>,
+    distance_range: (f64, f64),
+}
+
+impl PointSummary {
+    fn of(map: &Map, point: &PointLandmark) -> Option<Self> {
+        let (mean_view_direction, distance_range) = view_geometry(map, point)?;
+        let descriptors: Vec<Descriptor> = point
+            .observations
+            .iter()
+            .filter_map(|seen| Some(map.keyframe(seen.keyframe)?.features.descriptors[seen.feature_idx as usize]))
+            .collect();
+        Some(Self { descriptor: most_central(&descriptors)?, mean_view_direction, distance_range })
+    }
+}
+
+/// Mean viewing direction, and the distances at which the pyramid still holds the scale the point was seen at.
+fn view_geometry(map: &Map, point: &PointLandmark) -> Option<(Vector3<f64>, (f64, f64))> {
+    let mut direction_sum = Vector3::zeros();
+    for seen in &point.observations {
+        let centre = map.keyframe(seen.keyframe)?.camera_from_world.centre();
+        direction_sum += (point.position - centre).try_normalize(f64::MIN_POSITIVE)?;
+    }
+    let reference = point.observations.iter().find(|seen| seen.keyframe == point.created_by);
+    let reference = reference.or(point.observations.first())?;
+    let keyframe = map.keyframe(reference.keyframe)?;
+    let distance = (point.position - keyframe.camera_from_world.centre()).norm();
+    let pyramid = keyframe.features.pyramid;
+    let octave = keyframe.features.keypoints[reference.feature_idx as usize].octave;
+    let farthest = distance * pyramid.scale(octave);
+    let nearest = farthest / pyramid.scale(pyramid.n_levels - 1);
+    Some((direction_sum.try_normalize(f64::MIN_POSITIVE)?, (nearest, farthest)))
+}
+
+/// The descriptor with the least median distance to the others.
+fn most_central(descriptors: &[Descriptor]) -> Option<Descriptor> {
+    /// More views than this say nothing new about the appearance, and the work grows with their square.
+    const MAX_COMPARED: usize = 12;
+    let step = descriptors.len().div_ceil(MAX_COMPARED).max(1);
+    let sample: Vec<&Descriptor> = descriptors.iter().step_by(step).collect();
+    let median_distance = |candidate: &Descriptor| {
+        let mut distances: Vec<u32> = sample.iter().map(|other| candidate.distance(other)).collect();
+        distances.sort_unstable();
+        distances[(distances.len() - 1) / 2]
+    };
+    sample.iter().min_by_key(|candidate| median_distance(candidate)).map(|descriptor| **descriptor)
+}

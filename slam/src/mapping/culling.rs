@@ -1,0 +1,91 @@
+//! Taking out what does not earn its place: points nobody finds again, key frames that show nothing of their own.
+
+use crate::config::{MappingConfig, SlamConfig};
+use crate::map::{Keyframe, KeyframeId, Map, PointId};
+
+/// Observations that a point needs to survive its probation, or all there are key frames for.
+const MIN_OBSERVATIONS: usize = 3;
+/// Key frames other than the judged one that must see a point for it to count as redundant.
+const N_REDUNDANT_OBSERVERS: usize = 3;
+/// Key frames of a submap that are never culled, counted from the newest: they carry the tracking.
+const N_PROTECTED: u64 = 2;
+
+/// Judges young points: out if rarely found, or not seen by three key frames soon enough.
+pub(super) fn cull_recent_points(
+    map: &mut Map,
+    recent: &mut Vec<PointId>,
+    newest: KeyframeId,
+    config: &MappingConfig,
+) {
+    recent.retain(|id| {
+        let Some(point) = map.point(*id) else { return false };
+        let age = newest.get().saturating_sub(point.created_by.get());
+        let unreliable = point.found_ratio() < config.min_found_ratio;
+        let unconfirmed = age >= config.probation_keyframes && point.observations.len() < MIN_OBSERVATIONS;
+        if unreliable || unconfirmed {
+            map.remove_point(*id);
+            return false;
+        }
+        age <= config.probation_keyframes
+    });
+}
+
+/// Takes out key frames near the new one whose points others see just as well, and keeps the map below its cap.
+pub(super) fn cull_keyframes(map: &mut Map, newest: KeyframeId, config: &SlamConfig) {
+    let neighbours: Vec<KeyframeId> =
+        map.keyframe(newest).map_or(Vec::new(), |keyframe| keyframe.covisible().iter().map(|(id, _)| *id).collect());
+    for id in neighbours {
+        if is_protected(map, id, newest) {
+            continue;
+        }
+        let share = map.keyframe(id).map_or(0.0, |keyframe| redundancy(map, keyframe));
+        if share >= config.mapping.redundant_share {
+            remove(map, id);
+        }
+    }
+    if map.n_keyframes() > config.keyframes.max_keyframes {
+        remove_most_redundant(map, newest);
+    }
+}
+
+/// Share of a key frame's points that enough others see at the same or a finer level.
+fn redundancy(map: &Map, keyframe: &Keyframe) -> f64 {
+    let (mut n_points, mut n_redundant) = (0usize, 0usize);
+    for (feature_idx, id) in keyframe.observed_points() {
+        let Some(point) = map.point(id) else { continue };
+        n_points += 1;
+        if point.observations.len() <= N_REDUNDANT_OBSERVERS {
+            continue;
+        }
+        let octave = keyframe.features.keypoints[feature_idx].octave;
+        let observers = point.observations.iter().filter(|seen| seen.keyframe != keyframe.id);
+        let as_good = observers.filter(|seen| {
+            map.keyframe(seen.keyframe)
+                .is_some_and(|other| other.features.keypoints[seen.feature_idx as usize].octave <= octave + 1)
+        });
+        n_redundant += usize::from(as_good.take(N_REDUNDANT_OBSERVERS).count() == N_REDUNDANT_OBSERVERS);
+    }
+    n_redundant as f64 / n_points.max(1) as f64
+}
+
+fn is_protected(map: &Map, id: KeyframeId, newest: KeyframeId) -> bool {
+    let is_origin = map.keyframe(id).is_none_or(|keyframe| keyframe.parent.is_none());
+    is_origin || newest.get() - id.get().min(newest.get()) <= N_PROTECTED
+}
+
+fn remove(map: &mut Map, id: KeyframeId) {
+    let anchor = map.keyframe(id).and_then(|keyframe| keyframe.parent);
+    if let Some(anchor) = anchor {
+        map.remove_keyframe(id, anchor);
+    }
+}
+
+fn remove_most_redundant(map: &mut Map, newest: KeyframeId) {
+    let candidates = map.keyframes().filter(|keyframe| !is_protected(map, keyframe.id, newest));
+    let most = candidates
+        .map(|keyframe| (redundancy(map, keyframe), keyframe.id))
+        .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
+    if let Some((_, id)) = most {
+        remove(map, id);
+    }
+}

@@ -1,0 +1,200 @@
+//! Where mapping runs: on the caller's thread, or on one of its own beside tracking.
+//!
+//! Either way requests are carried out in order, and tracking sees the result as immutable snapshots.
+
+use super::{InitialMap, Mapper, NewKeyframe};
+use crate::map::{FrameRecord, Map, MapUpdate, SubmapId};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+/// Key frames that may wait for mapping. When it is full a lossless session waits, a real-time one makes no key frame.
+const QUEUE_LENGTH: usize = 1;
+/// Updates that may wait to be fetched; beyond it the newest two are joined.
+const MAX_WAITING_UPDATES: usize = 16;
+
+/// Mapping as the pipeline sees it.
+pub(crate) enum MappingStage {
+    Inline { mapper: Box<Mapper>, shared: Shared },
+    Background(Background),
+}
+
+/// What mapping hands to tracking.
+#[derive(Clone)]
+pub(crate) struct Shared {
+    newest: Arc<Mutex<Arc<Map>>>,
+    updates: Arc<Mutex<Vec<MapUpdate>>>,
+}
+
+/// The mapping thread's other end.
+pub(crate) struct Background {
+    requests: Option<SyncSender<Request>>,
+    n_pending: Arc<AtomicUsize>,
+    abort: Arc<AtomicBool>,
+    shared: Shared,
+    thread: Option<JoinHandle<()>>,
+}
+
+enum Request {
+    Begin(Box<InitialMap>),
+    AddKeyframe(Box<NewKeyframe>),
+    Discard(SubmapId),
+    Record(Vec<FrameRecord>),
+    /// Answered when everything before it is done.
+    Barrier(SyncSender<()>),
+}
+
+impl MappingStage {
+    pub fn inline(mapper: Mapper) -> Self {
+        let shared = Shared::new(mapper.map());
+        Self::Inline { mapper: Box::new(mapper), shared }
+    }
+
+    pub fn background(mapper: Mapper) -> std::io::Result<Self> {
+        let shared = Shared::new(mapper.map());
+        // Full: the sender waits (see `QUEUE_LENGTH`).
+        let (requests, incoming) = sync_channel(QUEUE_LENGTH);
+        let (n_pending, abort) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
+        let worker = Worker { mapper, n_pending: n_pending.clone(), abort: abort.clone(), shared: shared.clone() };
+        let thread = std::thread::Builder::new().name("slam-mapping".into()).spawn(move || worker.run(incoming))?;
+        Ok(Self::Background(Background { requests: Some(requests), n_pending, abort, shared, thread: Some(thread) }))
+    }
+
+    /// The newest consistent map.
+    pub fn newest_map(&self) -> Arc<Map> {
+        lock(&self.shared().newest).clone()
+    }
+
+    pub fn take_updates(&self) -> Vec<MapUpdate> {
+        std::mem::take(&mut *lock(&self.shared().updates))
+    }
+
+    /// Whether a key frame would be taken in at once.
+    pub fn is_idle(&self) -> bool {
+        match self {
+            Self::Inline { .. } => true,
+            Self::Background(background) => background.n_pending.load(Ordering::Acquire) == 0,
+        }
+    }
+
+    /// Begins a map and waits until it is there.
+    pub fn begin(&mut self, initial: InitialMap) {
+        self.request(Request::Begin(Box::new(initial)));
+        self.wait();
+    }
+
+    /// Takes in a key frame. In the background, waits only while the queue is full. `hurry` cuts short the
+    /// optimisation that is under way.
+    pub fn add_keyframe(&mut self, new: NewKeyframe, hurry: bool) {
+        if let Self::Background(background) = self {
+            background.abort.fetch_or(hurry, Ordering::Relaxed);
+        }
+        self.request(Request::AddKeyframe(Box::new(new)));
+    }
+
+    /// Removes a submap and waits until it is gone.
+    pub fn discard(&mut self, submap: SubmapId) {
+        self.request(Request::Discard(submap));
+        self.wait();
+    }
+
+    /// Adds frames to the trajectory, after everything requested so far.
+    pub fn record(&mut self, frames: Vec<FrameRecord>) {
+        self.request(Request::Record(frames));
+    }
+
+    /// Waits until everything requested so far is done.
+    pub fn wait(&mut self) {
+        if let Self::Background(background) = self {
+            let (done, wait) = sync_channel(1);
+            background.send(Request::Barrier(done));
+            let _ = wait.recv();
+        }
+    }
+
+    fn request(&mut self, request: Request) {
+        match self {
+            Self::Inline { mapper, shared } => shared.carry_out(mapper, request, &AtomicBool::new(false)),
+            Self::Background(background) => background.send(request),
+        }
+    }
+
+    fn shared(&self) -> &Shared {
+        match self {
+            Self::Inline { shared, .. } => shared,
+            Self::Background(background) => &background.shared,
+        }
+    }
+}
+
+impl Background {
+    fn send(&self, request: Request) {
+        self.n_pending.fetch_add(1, Ordering::AcqRel);
+        let sent = self.requests.as_ref().is_some_and(|requests| requests.send(request).is_ok());
+        // The thread ends early only by a panic of its own, which is a defect: it must not pass unnoticed.
+        assert!(sent, "the mapping thread has ended by a panic");
+    }
+}
+
+impl Drop for Background {
+    fn drop(&mut self) {
+        // A closed channel is the stop signal.
+        self.requests = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+struct Worker {
+    mapper: Mapper,
+    n_pending: Arc<AtomicUsize>,
+    abort: Arc<AtomicBool>,
+    shared: Shared,
+}
+
+impl Worker {
+    fn run(mut self, incoming: Receiver<Request>) {
+        for request in incoming {
+            self.abort.store(false, Ordering::Relaxed);
+            self.shared.carry_out(&mut self.mapper, request, &self.abort);
+            self.n_pending.fetch_sub(1, Ordering::AcqRel);
+        }
+    }
+}
+
+impl Shared {
+    fn new(map: &Map) -> Self {
+        Self { newest: Arc::new(Mutex::new(Arc::new(map.clone()))), updates: Arc::default() }
+    }
+
+    fn carry_out(&self, mapper: &mut Mapper, request: Request, abort: &AtomicBool) {
+        let update = match request {
+            Request::Begin(initial) => mapper.begin(*initial),
+            Request::AddKeyframe(new) => mapper.add_keyframe(*new, &mut |map| self.publish(map), abort),
+            Request::Discard(submap) => mapper.discard(submap),
+            Request::Record(frames) => mapper.record(frames),
+            Request::Barrier(done) => {
+                let _ = done.send(());
+                return;
+            }
+        };
+        *lock(&self.newest) = update.map.clone();
+        let mut updates = lock(&self.updates);
+        let is_full = updates.len() >= MAX_WAITING_UPDATES;
+        match updates.last_mut().filter(|_| is_full) {
+            Some(last) => last.merge(update),
+            None => updates.push(update),
+        }
+    }
+
+    fn publish(&self, map: &Map) {
+        *lock(&self.newest) = Arc::new(map.clone());
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Every critical section is a single assignment, so a poisoned value is still whole.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,185 @@
+//! New points from keypoints that two key frames see and no landmark explains. [ALGORITHMS 7.5]
+
+use super::neighbours;
+use crate::config::MappingConfig;
+use crate::features::FrameFeatures;
+use crate::map::{Keyframe, KeyframeId, Map, Observation, PointId};
+use geometry::nalgebra::{Matrix3, Vector2, Vector3};
+use geometry::{Pose, so3, triangulation};
+use optim::chi2_95;
+use vision::matching::{RotationConsistency, STRICT_DISTANCE};
+
+/// The ratio of a point's distances may differ from that of the levels it was found at by this times one level.
+const SCALE_TOLERANCE: f64 = 1.5;
+/// Keypoints this near to the epipole constrain no depth, pixels of their level.
+const EPIPOLE_MARGIN_PX: f64 = 10.0;
+
+/// Makes points with the key frame's neighbours. Returns their ids.
+pub(super) fn triangulate_with_neighbours(map: &mut Map, id: KeyframeId, config: &MappingConfig) -> Vec<PointId> {
+    let mut made = Vec::new();
+    for neighbour in neighbours(map, id, config.n_triangulation_neighbours) {
+        let candidates = match (map.keyframe(id), map.keyframe(neighbour)) {
+            (Some(current), Some(neighbour)) => PairSearch::new(current, neighbour, map, config).map(PairSearch::run),
+            _ => None,
+        };
+        for (current_idx, neighbour_idx, position) in candidates.unwrap_or_default() {
+            let observations = [
+                Observation { keyframe: id, feature_idx: current_idx as u32 },
+                Observation { keyframe: neighbour, feature_idx: neighbour_idx as u32 },
+            ];
+            made.extend(map.add_point(position, id, &observations));
+        }
+    }
+    made
+}
+
+/// The search for new points in one pair of key frames.
+struct PairSearch<'a> {
+    current: &'a Keyframe,
+    neighbour: &'a Keyframe,
+    /// `x_neighbourᵀ F x_current = 0`, pixels.
+    fundamental: Matrix3<f64>,
+    /// The current camera's centre as the neighbour sees it, pixels, if it is in front.
+    epipole: Option<Vector2<f64>>,
+    neighbour_from_current: Pose,
+    /// Depths in the current view between which points are looked for, map units.
+    depth_range: (f64, f64),
+    config: &'a MappingConfig,
+}
+
+impl<'a> PairSearch<'a> {
+    /// `None` if the baseline is too short for the depth of the scene.
+    fn new(
+        current: &'a Keyframe,
+        neighbour: &'a Keyframe,
+        map: &Map,
+        config: &'a MappingConfig,
+    ) -> Option<Self> {
+        let neighbour_from_current = neighbour.camera_from_world * current.camera_from_world.inverse();
+        let median_depth = median_depth(map, neighbour)?;
+        if neighbour_from_current.translation.norm() < config.min_baseline_share * median_depth {
+            return None;
+        }
+        let essential =
+            so3::skew(&neighbour_from_current.translation) * neighbour_from_current.rotation_matrix();
+        let fundamental = neighbour.features.pinhole.inverse_matrix().transpose()
+            * essential
+            * current.features.pinhole.inverse_matrix();
+        let centre = neighbour_from_current.translation;
+        let epipole = (centre.z > 0.0).then(|| neighbour.features.pinhole.project(&centre));
+        // Nearer than a tenth of the baseline is behind a finger; farther than the least parallax allows is noise.
+        let baseline = centre.norm();
+        let depth_range = (0.1 * baseline, baseline / config.min_parallax_deg.to_radians() * 2.0);
+        Some(Self { current, neighbour, fundamental, epipole, neighbour_from_current, depth_range, config })
+    }
+
+    /// Keypoint of the current view, keypoint of the neighbour, position in the world.
+    fn run(self) -> Vec<(usize, usize, Vector3<f64>)> {
+        let mut claims: Vec<Option<(u32, usize)>> = vec![None; self.neighbour.features.len()];
+        for current_idx in (0..self.current.features.len()).filter(|idx| self.current.points[*idx].is_none()) {
+            let Some((distance, neighbour_idx)) = self.best_match(current_idx) else { continue };
+            if claims[neighbour_idx].is_none_or(|(claimed, _)| distance < claimed) {
+                claims[neighbour_idx] = Some((distance, current_idx));
+            }
+        }
+        let angle = |features: &FrameFeatures, idx: usize| features.keypoints[idx].angle;
+        let pairs: Vec<(usize, usize, f32)> = claims
+            .iter()
+            .enumerate()
+            .filter_map(|(neighbour_idx, claim)| {
+                let (_, current_idx) = (*claim)?;
+                let change = angle(&self.neighbour.features, neighbour_idx) - angle(&self.current.features, current_idx);
+                Some((current_idx, neighbour_idx, change))
+            })
+            .collect();
+        let mut rotation = RotationConsistency::new();
+        pairs.iter().for_each(|(_, _, change)| rotation.add(*change));
+        let dominant = rotation.dominant();
+        let consistent = pairs.into_iter().filter(|(_, _, change)| dominant.accepts(*change));
+        consistent.filter_map(|(a, b, _)| Some((a, b, self.triangulate(a, b)?))).collect()
+    }
+
+    /// The unexplained keypoint of the neighbour that looks most alike, along the epipolar segment of a keypoint.
+    fn best_match(&self, current_idx: usize) -> Option<(u32, usize)> {
+        let descriptor = &self.current.features.descriptors[current_idx];
+        let pixel = &self.current.features.undistorted[current_idx];
+        let line = self.fundamental * Vector3::new(pixel.x, pixel.y, 1.0);
+        let inverse_norm = 1.0 / line.xy().norm();
+        let (mut best, mut second) = ((u32::MAX, usize::MAX), u32::MAX);
+        let mut consider = |idx: u32| {
+            let idx = idx as usize;
+            if self.neighbour.points[idx].is_some() {
+                return;
+            }
+            let distance = descriptor.distance(&self.neighbour.features.descriptors[idx]);
+            if distance > STRICT_DISTANCE || distance >= second {
+                return;
+            }
+            let other = &self.neighbour.features.undistorted[idx];
+            let from_line = (line.x * other.x + line.y * other.y + line.z) * inverse_norm;
+            let sigma = self.neighbour.features.sigma_px(idx);
+            if from_line * from_line > chi2_95(1) * sigma * sigma || self.is_near_epipole(other, sigma) {
+                return;
+            }
+            if distance < best.0 {
+                second = best.0;
+                best = (distance, idx);
+            } else {
+                second = distance;
+            }
+        };
+        (0..self.neighbour.features.len() as u32).for_each(&mut consider);
+        let unique = second == u32::MAX || best.0 as f32 <= self.config.match_ratio * second as f32;
+        (best.1 != usize::MAX && unique).then_some(best)
+    }
+
+    fn is_near_epipole(&self, pixel: &Vector2<f64>, sigma: f64) -> bool {
+        self.epipole.is_some_and(|epipole| (pixel - epipole).norm() < EPIPOLE_MARGIN_PX * sigma)
+    }
+
+    /// The point two keypoints see, if it passes every test.
+    fn triangulate(&self, current_idx: usize, neighbour_idx: usize) -> Option<Vector3<f64>> {
+        let (current, neighbour) = (&self.current.features, &self.neighbour.features);
+        let (pixel_a, pixel_b) = (&current.undistorted[current_idx], &neighbour.undistorted[neighbour_idx]);
+        let bearing_a = current.pinhole.bearing(pixel_a);
+        let bearing_b = neighbour.pinhole.bearing(pixel_b);
+        let a_from_world = &self.current.camera_from_world;
+        let b_from_world = &self.neighbour.camera_from_world;
+        let ray_b_in_a = self.neighbour_from_current.rotation.inverse() * bearing_b;
+        if bearing_a.dot(&ray_b_in_a) > self.config.min_parallax_deg.to_radians().cos() {
+            return None;
+        }
+        let point = triangulation::two_view(a_from_world, &bearing_a, b_from_world, &bearing_b)?;
+        let (in_a, in_b) = (a_from_world.transform(&point), b_from_world.transform(&point));
+        if in_a.z < self.depth_range.0 || in_a.z > self.depth_range.1 || in_b.z <= 0.0 {
+            return None;
+        }
+        let reprojects = |features: &FrameFeatures, idx: usize, in_camera: &Vector3<f64>| {
+            let sigma = features.sigma_px(idx);
+            let error = features.pinhole.project(in_camera) - features.undistorted[idx];
+            error.norm_squared() <= chi2_95(2) * sigma * sigma
+        };
+        if !reprojects(current, current_idx, &in_a) || !reprojects(neighbour, neighbour_idx, &in_b) {
+            return None;
+        }
+        // Seen from twice the distance a point appears twice as small: levels and distances must agree.
+        let distance_ratio = in_b.norm() / in_a.norm();
+        let scale_ratio = current.sigma_px(current_idx) / neighbour.sigma_px(neighbour_idx);
+        let tolerance = SCALE_TOLERANCE * current.pyramid.scale_factor;
+        let agreement = distance_ratio / scale_ratio;
+        (agreement < tolerance && agreement > 1.0 / tolerance).then_some(point)
+    }
+}
+
+/// Median depth of the points a key frame sees, map units.
+pub(crate) fn median_depth(map: &Map, keyframe: &Keyframe) -> Option<f64> {
+    let mut depths: Vec<f64> = keyframe
+        .observed_points()
+        .filter_map(|(_, id)| Some(keyframe.camera_from_world.transform(&map.point(id)?.position).z))
+        .collect();
+    if depths.is_empty() {
+        return None;
+    }
+    let middle = depths.len() / 2;
+    Some(*depths.select_nth_unstable_by(middle, f64::total_cmp).1)
+}

@@ -1,0 +1,148 @@
+//! The part of the map a frame can see: key frames that share its points, their neighbours, and what those see.
+
+use super::frame::TrackedFrame;
+use super::search::{PredictedView, find_in_window};
+use crate::config::TrackingConfig;
+use crate::map::{KeyframeId, Map, PointId, PointLandmark};
+use std::collections::BTreeMap;
+use vision::matching::LOOSE_DISTANCE;
+
+/// Neighbours taken in per key frame that shares points with the frame.
+const N_NEIGHBOURS: usize = 10;
+
+/// Scratch space of the local map, kept between frames so that a steady stream allocates little.
+#[derive(Debug, Default)]
+pub(crate) struct LocalMap {
+    keyframes: Vec<KeyframeId>,
+    points: Vec<PointId>,
+    /// Per point index: the round in which it was last taken in.
+    stamps: Vec<u32>,
+    round: u32,
+}
+
+/// How often each point should have been found and was, since the last key frame.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Sightings {
+    counts: BTreeMap<PointId, (u32, u32)>,
+}
+
+impl Sightings {
+    pub fn visible(&mut self, id: PointId) {
+        self.counts.entry(id).or_default().0 += 1;
+    }
+
+    pub fn found(&mut self, id: PointId) {
+        self.counts.entry(id).or_default().1 += 1;
+    }
+
+    /// Point, frames that should have seen it, frames that did.
+    pub fn iter(&self) -> impl Iterator<Item = (PointId, u32, u32)> + '_ {
+        self.counts.iter().map(|(id, (visible, found))| (*id, *visible, *found))
+    }
+}
+
+impl LocalMap {
+    /// Collects what is near the frame. Returns the key frame that shares the most points with it.
+    pub fn collect(&mut self, map: &Map, frame: &TrackedFrame, config: &TrackingConfig) -> Option<KeyframeId> {
+        let mut votes: BTreeMap<KeyframeId, u32> = BTreeMap::new();
+        for point in frame.points.iter().flatten().filter_map(|id| map.point(*id)) {
+            for seen in &point.observations {
+                *votes.entry(seen.keyframe).or_default() += 1;
+            }
+        }
+        let mut ranked: Vec<(KeyframeId, u32)> = votes.into_iter().collect();
+        ranked.sort_by_key(|(id, n)| (std::cmp::Reverse(*n), *id));
+        let reference = ranked.first().map(|(id, _)| *id);
+
+        self.keyframes.clear();
+        self.keyframes.extend(ranked.iter().take(config.max_local_keyframes).map(|(id, _)| *id));
+        let n_sharing = self.keyframes.len();
+        for position in 0..n_sharing {
+            let Some(keyframe) = map.keyframe(self.keyframes[position]) else { continue };
+            let neighbours = keyframe.covisible().iter().take(N_NEIGHBOURS).map(|(id, _)| *id);
+            for neighbour in neighbours.chain(keyframe.parent) {
+                if self.keyframes.len() >= config.max_local_keyframes {
+                    break;
+                }
+                if !self.keyframes.contains(&neighbour) {
+                    self.keyframes.push(neighbour);
+                }
+            }
+        }
+        self.collect_points(map);
+        reference
+    }
+
+    fn collect_points(&mut self, map: &Map) {
+        self.points.clear();
+        self.round = self.round.wrapping_add(1);
+        self.stamps.resize(map.last_ids().1 as usize, self.round.wrapping_sub(1));
+        for keyframe in self.keyframes.iter().filter_map(|id| map.keyframe(*id)) {
+            for (_, id) in keyframe.observed_points() {
+                let stamp = &mut self.stamps[id.index()];
+                if *stamp != self.round {
+                    *stamp = self.round;
+                    self.points.push(id);
+                }
+            }
+        }
+    }
+
+    /// Key frames of the local map, those that share the most points first.
+    pub fn keyframes(&self) -> &[KeyframeId] {
+        &self.keyframes
+    }
+
+    /// Looks for the points of the local map that the frame has not found yet. Returns how many were found.
+    pub fn search(
+        &mut self,
+        map: &Map,
+        frame: &mut TrackedFrame,
+        radius_px: f64,
+        config: &TrackingConfig,
+        sightings: &mut Sightings,
+    ) -> usize {
+        // A round of its own marks what the frame has already.
+        self.round = self.round.wrapping_add(1);
+        for id in frame.points.iter().flatten() {
+            if let Some(stamp) = self.stamps.get_mut(id.index()) {
+                *stamp = self.round;
+            }
+            sightings.visible(*id);
+        }
+        let min_view_cosine = config.max_view_angle_deg.to_radians().cos();
+        let centre = frame.camera_from_world.centre();
+        let features = frame.features.clone();
+        let mut n_found = 0;
+        for id in self.points.iter().filter(|id| self.stamps[id.index()] != self.round) {
+            let Some(point) = map.point(*id) else { continue };
+            let view = PredictedView::of(point, &frame.camera_from_world, &centre, &features, min_view_cosine);
+            let Some(view) = view else { continue };
+            sightings.visible(*id);
+            let radius = view.radius_px(radius_px, &features);
+            let found = find_in_window(
+                &features,
+                &point.descriptor,
+                &view.pixel,
+                radius,
+                view.octaves(),
+                Some(config.match_ratio),
+                LOOSE_DISTANCE,
+                |idx| frame.points[idx].is_some(),
+            );
+            if let Some(found) = found {
+                frame.points[found.feature_idx] = Some(*id);
+                n_found += 1;
+            }
+        }
+        n_found
+    }
+}
+
+/// Points of a key frame that at least `min_observations` key frames see.
+pub(crate) fn n_established_points(map: &Map, id: KeyframeId, min_observations: usize) -> usize {
+    let established = |point: &PointLandmark| point.observations.len() >= min_observations;
+    map.keyframe(id).map_or(0, |keyframe| {
+        keyframe.observed_points().filter(|(_, id)| map.point(*id).is_some_and(established)).count()
+    })
+}

@@ -1,0 +1,132 @@
+//! Finding a lost camera: which known places look like the image, and a pose that its geometry confirms.
+
+use super::frame::TrackedFrame;
+use super::pose::place_frame;
+use super::search::{Expected, match_keyframe, search_by_motion};
+use crate::config::RelocalisationConfig;
+use crate::map::{Keyframe, KeyframeId, Map, PointId};
+use geometry::absolute_pose::{PoseObservation, ransac_pose};
+use geometry::ransac::RansacConfig;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeSet;
+use vision::place::PlaceIndex;
+
+/// Radius of the guided search around a pose found from few matches, pixels of the level.
+const GUIDED_RADIUS_PX: f64 = 10.0;
+/// Neighbours of a recognised key frame whose points are looked for as well.
+const N_NEIGHBOURS: usize = 10;
+
+/// Recognises places. Learns the key frames of a map as they appear.
+pub(crate) struct Relocaliser {
+    config: RelocalisationConfig,
+    index: PlaceIndex,
+    known: BTreeSet<KeyframeId>,
+    rng: ChaCha8Rng,
+    n_candidates: usize,
+}
+
+impl Relocaliser {
+    pub fn new(config: RelocalisationConfig, seed: u64) -> Self {
+        Self {
+            config,
+            index: PlaceIndex::new(),
+            known: BTreeSet::new(),
+            rng: ChaCha8Rng::seed_from_u64(seed),
+            n_candidates: 0,
+        }
+    }
+
+    /// Enters the key frames that are new in the map and drops those that are gone.
+    pub fn learn(&mut self, map: &Map) {
+        let gone: Vec<KeyframeId> = self.known.iter().copied().filter(|id| map.keyframe(*id).is_none()).collect();
+        for id in gone {
+            self.known.remove(&id);
+            self.index.remove(id.get());
+        }
+        for keyframe in map.keyframes() {
+            if self.known.insert(keyframe.id) {
+                self.index.insert(keyframe.id.get(), &keyframe.features.descriptors);
+            }
+        }
+    }
+
+    /// Places that were tried for the last frame.
+    pub fn n_candidates(&self) -> usize {
+        self.n_candidates
+    }
+
+    /// The frame with a pose and matches, if a place in the map fits it.
+    pub fn relocalise(&mut self, blank: TrackedFrame, map: &Map) -> Option<TrackedFrame> {
+        let candidates = self.index.query(&blank.features.descriptors, self.config.max_candidates);
+        self.n_candidates = candidates.len();
+        candidates.iter().find_map(|candidate| {
+            let keyframe = map.keyframe(KeyframeId::new(candidate.image_id)?)?;
+            self.try_place(blank.clone(), keyframe, map)
+        })
+    }
+
+    fn try_place(&mut self, mut frame: TrackedFrame, keyframe: &Keyframe, map: &Map) -> Option<TrackedFrame> {
+        let matches = match_keyframe(keyframe, &frame.features);
+        if matches.len() < self.config.min_matches {
+            return None;
+        }
+        frame.reference = keyframe.id;
+        frame.submap = keyframe.submap;
+        self.place_by_matches(&mut frame, &matches, map)?;
+        let mut fit = place_frame(&mut frame, map);
+        if fit.n_inliers < self.config.min_first_inliers {
+            return None;
+        }
+        if fit.n_inliers < self.config.min_inliers {
+            self.search_around(&mut frame, keyframe, map);
+            fit = place_frame(&mut frame, map);
+        }
+        (fit.n_inliers >= self.config.min_inliers).then_some(frame)
+    }
+
+    /// A pose from three matches that many others agree with; only those are kept.
+    fn place_by_matches(&mut self, frame: &mut TrackedFrame, matches: &[(usize, PointId)], map: &Map) -> Option<()> {
+        let focal_px = frame.features.pinhole.mean_focal_px();
+        let mut known = Vec::with_capacity(matches.len());
+        let mut observations = Vec::with_capacity(matches.len());
+        for (feature_idx, id) in matches {
+            let Some(point) = map.point(*id) else { continue };
+            known.push((*feature_idx, *id));
+            observations.push(PoseObservation {
+                bearing: frame.features.pinhole.bearing(&frame.features.undistorted[*feature_idx]),
+                point: point.position,
+                sigma_rad: frame.features.sigma_px(*feature_idx) / focal_px,
+            });
+        }
+        let config = RansacConfig { max_iterations: self.config.max_iterations, ..RansacConfig::default() };
+        let report = ransac_pose(&observations, &config, &mut self.rng)?;
+        if report.n_inliers < self.config.min_first_inliers {
+            return None;
+        }
+        frame.camera_from_world = report.model;
+        frame.points.fill(None);
+        for ((feature_idx, id), _) in known.iter().zip(&report.inliers).filter(|(_, inlier)| **inlier) {
+            frame.points[*feature_idx] = Some(*id);
+        }
+        Some(())
+    }
+
+    /// Looks for what the recognised key frame and its neighbours see, around where the pose puts it.
+    fn search_around(&self, frame: &mut TrackedFrame, keyframe: &Keyframe, map: &Map) {
+        let mut seen: BTreeSet<PointId> = frame.points.iter().flatten().copied().collect();
+        let features = frame.features.clone();
+        let neighbours = keyframe.covisible().iter().take(N_NEIGHBOURS).filter_map(|(id, _)| map.keyframe(*id));
+        for neighbour in std::iter::once(keyframe).chain(neighbours) {
+            let wanted: Vec<(usize, PointId)> =
+                neighbour.observed_points().filter(|(_, id)| seen.insert(*id)).collect();
+            let expected = wanted.iter().filter_map(|(keypoint_idx, id)| {
+                let point = map.point(*id)?;
+                let keypoint = &neighbour.features.keypoints[*keypoint_idx];
+                let descriptor = &point.descriptor;
+                Some(Expected { point, octave: keypoint.octave, angle: keypoint.angle, descriptor })
+            });
+            search_by_motion(&features, &frame.camera_from_world, expected, GUIDED_RADIUS_PX, &mut frame.points);
+        }
+    }
+}

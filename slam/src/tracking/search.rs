@@ -1,0 +1,199 @@
+//! Finding landmarks in a frame: where they should be, and which keypoint there looks like them.
+
+use crate::features::FrameFeatures;
+use crate::map::{Keyframe, PointId, PointLandmark};
+use geometry::Pose;
+use geometry::nalgebra::Vector2;
+use std::ops::RangeInclusive;
+use vision::Descriptor;
+use vision::matching::{LOOSE_DISTANCE, RotationConsistency, STRICT_DISTANCE};
+
+/// Views this close to the mean one, as a cosine, move little between their prediction and the truth.
+const FRONTAL_COSINE: f64 = 0.998;
+/// Search radius of a frontal view as a share of the full one: 2.5 px of 4.
+const FRONTAL_RADIUS_SHARE: f64 = 0.625;
+/// Points seen from a little nearer or farther than the pyramid covers are still looked for.
+const RANGE_TOLERANCE: f64 = 0.2;
+
+/// Where a point should appear in a view.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PredictedView {
+    pub pixel: Vector2<f64>,
+    pub octave: u8,
+    /// Cosine of the angle between the mean direction the point was seen from and the present one.
+    pub view_cosine: f64,
+}
+
+impl PredictedView {
+    /// `None` if the point is behind the camera, outside the image, too near, too far, or seen too much from the side.
+    pub fn of(
+        point: &PointLandmark,
+        camera_from_world: &Pose,
+        centre: &geometry::nalgebra::Vector3<f64>,
+        features: &FrameFeatures,
+        min_view_cosine: f64,
+    ) -> Option<Self> {
+        let in_camera = camera_from_world.transform(&point.position);
+        if in_camera.z <= 0.0 {
+            return None;
+        }
+        let pixel = features.pinhole.project(&in_camera);
+        if !features.contains(&pixel) {
+            return None;
+        }
+        let from_centre = point.position - centre;
+        let distance = from_centre.norm();
+        let (nearest, farthest) = point.distance_range;
+        if distance < nearest * (1.0 - RANGE_TOLERANCE) || distance > farthest * (1.0 + RANGE_TOLERANCE) {
+            return None;
+        }
+        let view_cosine = from_centre.dot(&point.mean_view_direction) / distance;
+        if view_cosine < min_view_cosine {
+            return None;
+        }
+        let octave = features.pyramid.predict_octave(farthest, distance);
+        Some(Self { pixel, octave, view_cosine })
+    }
+
+    /// Where to look, pixels, if a radius of `radius_px` pixels of the level is right for views from the side.
+    pub fn radius_px(&self, radius_px: f64, features: &FrameFeatures) -> f64 {
+        let share = if self.view_cosine > FRONTAL_COSINE { FRONTAL_RADIUS_SHARE } else { 1.0 };
+        radius_px * share * features.pyramid.scale(self.octave)
+    }
+
+    /// The levels in which it may be found: the predicted one and the next finer.
+    pub fn octaves(&self) -> RangeInclusive<u8> {
+        self.octave.saturating_sub(1)..=self.octave
+    }
+}
+
+/// The keypoint that looks most like a descriptor, among those in a window.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Found {
+    pub feature_idx: usize,
+    pub distance: u32,
+}
+
+/// Looks for a descriptor in a window. Keypoints for which `taken` holds are passed over. With a ratio, a match is
+/// refused when another keypoint of the same level is nearly as similar.
+pub(crate) fn find_in_window(
+    features: &FrameFeatures,
+    descriptor: &Descriptor,
+    pixel: &Vector2<f64>,
+    radius_px: f64,
+    octaves: RangeInclusive<u8>,
+    ratio: Option<f32>,
+    max_distance: u32,
+    taken: impl Fn(usize) -> bool,
+) -> Option<Found> {
+    let (mut best, mut second) = ((u32::MAX, usize::MAX), (u32::MAX, usize::MAX));
+    features.grid.for_each_in_window(pixel.x as f32, pixel.y as f32, radius_px as f32, octaves, |idx| {
+        let idx = idx as usize;
+        if taken(idx) {
+            return;
+        }
+        let distance = descriptor.distance(&features.descriptors[idx]);
+        if distance < best.0 {
+            second = best;
+            best = (distance, idx);
+        } else if distance < second.0 {
+            second = (distance, idx);
+        }
+    });
+    if best.0 > max_distance {
+        return None;
+    }
+    if let Some(ratio) = ratio.filter(|_| second.1 != usize::MAX) {
+        let same_level = features.keypoints[best.1].octave == features.keypoints[second.1].octave;
+        if same_level && best.0 as f32 > ratio * second.0 as f32 {
+            return None;
+        }
+    }
+    Some(Found { feature_idx: best.1, distance: best.0 })
+}
+
+/// A point with its place in the view it was matched in before.
+pub(crate) struct Expected<'a> {
+    pub point: &'a PointLandmark,
+    pub octave: u8,
+    pub angle: f32,
+    pub descriptor: &'a Descriptor,
+}
+
+/// Looks for points of one view in another by projecting them; matches whose change of orientation is unlike the
+/// others' are dropped. Returns how many were found; `points` takes them.
+pub(crate) fn search_by_motion<'a>(
+    features: &FrameFeatures,
+    camera_from_world: &Pose,
+    expected: impl Iterator<Item = Expected<'a>>,
+    radius_px: f64,
+    points: &mut [Option<PointId>],
+) -> usize {
+    let mut rotation = RotationConsistency::new();
+    let mut found: Vec<(usize, f32)> = Vec::new();
+    for Expected { point, octave, angle, descriptor } in expected {
+        let in_camera = camera_from_world.transform(&point.position);
+        if in_camera.z <= 0.0 {
+            continue;
+        }
+        let pixel = features.pinhole.project(&in_camera);
+        if !features.contains(&pixel) {
+            continue;
+        }
+        let radius = radius_px * features.pyramid.scale(octave);
+        let octaves = octave.saturating_sub(1)..=octave + 1;
+        let matched =
+            find_in_window(features, descriptor, &pixel, radius, octaves, None, LOOSE_DISTANCE, |idx| points[idx].is_some());
+        if let Some(Found { feature_idx, .. }) = matched {
+            points[feature_idx] = Some(point.id);
+            let change = features.keypoints[feature_idx].angle - angle;
+            rotation.add(change);
+            found.push((feature_idx, change));
+        }
+    }
+    let dominant = rotation.dominant();
+    let mut n_found = found.len();
+    for (feature_idx, change) in found {
+        if !dominant.accepts(change) {
+            points[feature_idx] = None;
+            n_found -= 1;
+        }
+    }
+    n_found
+}
+
+/// Best match's distance as a share of the second best's, where nothing is known of the place. [ALGORITHMS 7.1]
+const UNGUIDED_RATIO: f32 = 0.75;
+
+/// Matches a key frame's points with a frame by descriptors alone. Returns `(keypoint of the frame, point)` pairs.
+pub(crate) fn match_keyframe(keyframe: &Keyframe, features: &FrameFeatures) -> Vec<(usize, PointId)> {
+    let mut rotation = RotationConsistency::new();
+    // Each keypoint of the frame is given to the most similar point that chose it.
+    let mut claims: Vec<Option<(u32, PointId, f32)>> = vec![None; features.len()];
+    for (keypoint_idx, point_id) in keyframe.observed_points() {
+        let descriptor = &keyframe.features.descriptors[keypoint_idx];
+        let (mut best, mut second) = ((u32::MAX, usize::MAX), u32::MAX);
+        for (idx, other) in features.descriptors.iter().enumerate() {
+            let distance = descriptor.distance(other);
+            if distance < best.0 {
+                second = best.0;
+                best = (distance, idx);
+            } else if distance < second {
+                second = distance;
+            }
+        }
+        if best.0 > STRICT_DISTANCE || best.0 as f32 > UNGUIDED_RATIO * second as f32 {
+            continue;
+        }
+        if claims[best.1].is_none_or(|(distance, ..)| best.0 < distance) {
+            let change = features.keypoints[best.1].angle - keyframe.features.keypoints[keypoint_idx].angle;
+            claims[best.1] = Some((best.0, point_id, change));
+        }
+    }
+    claims.iter().flatten().for_each(|(_, _, change)| rotation.add(*change));
+    let dominant = rotation.dominant();
+    let accepted = |(idx, claim): (usize, Option<(u32, PointId, f32)>)| {
+        claim.filter(|(_, _, change)| dominant.accepts(*change)).map(|(_, point_id, _)| (idx, point_id))
+    };
+    claims.into_iter().enumerate().filter_map(accepted).collect()
+}
