@@ -34,6 +34,8 @@ pub mod orb;
 pub mod place;
 mod pyramid;
 pub mod scale;
+#[cfg(test)]
+mod test_images;
 
 pub use crate::grid::{GridBounds, KeypointGrid};
 pub use crate::image::{GrayImage, ImageError, ImageStatistics};

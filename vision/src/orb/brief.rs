@@ -1,63 +1,99 @@
-//! Steered BRIEF descriptors [Calonder et al., "BRIEF", ECCV 2010; Rublee et al., ICCV 2011].
+//! Steered BRIEF descriptors [Calonder et al., "BRIEF: binary robust independent elementary features", ECCV 2010;
+//! Rublee et al., ICCV 2011].
 
+use std::f32::consts::TAU;
+
+use super::pattern::{self, Test};
 use super::{Descriptor, PATCH_RADIUS_PX};
 use crate::GrayImage;
 
-/// The 256 tests.
+/// Directions the tests are rotated to in advance: steps of 12 degrees move the outermost pixels by at most 1.6.
+const N_DIRECTIONS: usize = 30;
+const N_TESTS: usize = Descriptor::N_BITS as usize;
+/// A patch of 31 x 31 pixels is copied out with this row length, so that an offset is `32 * row + column`.
+const PATCH_STRIDE: usize = 32;
+const PATCH_LEN: usize = PATCH_STRIDE * PATCH_STRIDE;
+
+/// The tests, rotated to each of the directions, as offsets into a patch.
 #[derive(Clone, Debug)]
-pub(super) struct Pattern {
-    tests: Vec<[(f32, f32); 2]>,
+pub(super) struct SteeredTests {
+    directions: Vec<[[u16; 2]; N_TESTS]>,
 }
 
-impl Pattern {
+impl SteeredTests {
     pub fn new() -> Self {
-        let mut state = 0x5EED_0F0Bu64;
-        let mut uniform = || {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            (state >> 40) as f32 / (1u64 << 24) as f32
+        let tests = pattern::tests();
+        let rotated = |direction: usize| {
+            let (sin, cos) = (direction as f32 * TAU / N_DIRECTIONS as f32).sin_cos();
+            tests.map(|Test { from, to }| [from, to].map(|point| offset(point, sin, cos)))
         };
-        let radius = PATCH_RADIUS_PX as f32 - 1.0;
-        let mut point = || loop {
-            // The sum of 12 uniforms less 6 is close to a unit Gaussian.
-            let mut gauss = || ((0..12).map(|_| uniform()).sum::<f32>() - 6.0) * 31.0 / 5.0;
-            let (x, y) = (gauss(), gauss());
-            if x * x + y * y < radius * radius {
-                return (x, y);
-            }
-        };
-        Self { tests: (0..256).map(|_| [point(), point()]).collect() }
+        Self { directions: (0..N_DIRECTIONS).map(rotated).collect() }
     }
 
+    /// Describes the pixels around (x, y), at least 16 from the edges of `blurred`, seen along `angle` (radians).
     pub fn describe(&self, blurred: &GrayImage, x: u32, y: u32, angle: f32) -> Descriptor {
-        let (sin, cos) = angle.sin_cos();
-        let value = |(px, py): (f32, f32)| {
-            let dx = (cos * px - sin * py).round() as i32;
-            let dy = (sin * px + cos * py).round() as i32;
-            blurred.row((y as i32 + dy) as u32)[(x as i32 + dx) as usize]
-        };
+        let direction = (angle * (N_DIRECTIONS as f32 / TAU)).round() as usize % N_DIRECTIONS;
+        let patch = copy_patch(blurred, x as usize, y as usize);
+        // The mask changes no offset; it shows the compiler that all are inside.
+        let pixel = |offset: u16| patch[usize::from(offset) % PATCH_LEN];
         let mut words = [0; 4];
-        for (i, &[a, b]) in self.tests.iter().enumerate() {
-            words[i / 64] |= u64::from(value(a) < value(b)) << (i % 64);
+        for (word, tests) in words.iter_mut().zip(self.directions[direction].as_chunks::<64>().0) {
+            for (bit, &[from, to]) in tests.iter().enumerate() {
+                *word |= u64::from(pixel(from) < pixel(to)) << bit;
+            }
         }
         Descriptor(words)
     }
 }
 
-/// Gaussian blur, 7x7, sigma 2.
-pub(super) fn blur(image: &GrayImage, out: &mut GrayImage) {
-    const WEIGHTS: [u32; 7] = [18, 34, 49, 54, 49, 34, 18];
-    let (width, height) = (image.width() as i32, image.height() as i32);
-    out.reshape(image.width(), image.height());
-    for y in 0..height {
-        for x in 0..width {
-            let mut sum = 0;
-            for (dy, wy) in (-3..=3).zip(WEIGHTS) {
-                let row = image.row((y + dy).clamp(0, height - 1) as u32);
-                for (dx, wx) in (-3..=3).zip(WEIGHTS) {
-                    sum += wy * wx * u32::from(row[(x + dx).clamp(0, width - 1) as usize]);
-                }
-            }
-            out.row_mut(y as u32)[x as usize] = ((sum + (1 << 15)) >> 16) as u8;
+/// Where a point of the pattern lies in the patch after a rotation.
+fn offset((x, y): (i8, i8), sin: f32, cos: f32) -> u16 {
+    let (x, y) = (f32::from(x), f32::from(y));
+    let radius = PATCH_RADIUS_PX as i32;
+    let column = (cos * x - sin * y).round() as i32 + radius;
+    let row = (sin * x + cos * y).round() as i32 + radius;
+    debug_assert!((0..=2 * radius).contains(&column) && (0..=2 * radius).contains(&row));
+    (row * PATCH_STRIDE as i32 + column) as u16
+}
+
+fn copy_patch(image: &GrayImage, x: usize, y: usize) -> [u8; PATCH_LEN] {
+    let radius = PATCH_RADIUS_PX as usize;
+    let mut patch = [0; PATCH_LEN];
+    for (i, row) in patch.as_chunks_mut::<PATCH_STRIDE>().0[..2 * radius + 1].iter_mut().enumerate() {
+        let from = (y + i - radius) * image.width() as usize + x - radius;
+        row.copy_from_slice(&image.as_raw()[from..from + PATCH_STRIDE]);
+    }
+    patch
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_images;
+
+    #[test]
+    fn bits_compare_the_pixels_of_their_tests() {
+        let image = test_images::noise(40, 40, 255, 1);
+        let descriptor = SteeredTests::new().describe(&image, 18, 20, 0.0);
+        let pixel = |(x, y): (i8, i8)| image.row((20 + i32::from(y)) as u32)[(18 + i32::from(x)) as usize];
+        for (i, test) in pattern::tests().iter().enumerate() {
+            assert_eq!(descriptor.bit(i as u32), pixel(test.from) < pixel(test.to));
         }
+    }
+
+    #[test]
+    fn a_quarter_turn_of_image_and_angle_changes_nothing() {
+        let image = test_images::blobs(41, 41, 2);
+        // Clockwise on the screen: what was at (dx, dy) from the centre is now at (-dy, dx).
+        let turned = GrayImage::from_fn(41, 41, |x, y| image.row(40 - x)[y as usize]);
+        let tests = SteeredTests::new();
+        // 96 degrees are a multiple of 12, and so are the 6 degrees with which a quarter turn is not one.
+        let differing = tests.describe(&image, 20, 20, 0.1).distance(&tests.describe(
+            &turned,
+            20,
+            20,
+            0.1 + std::f32::consts::FRAC_PI_2,
+        ));
+        assert!(differing < 40, "{differing} bits differ");
     }
 }

@@ -1,12 +1,17 @@
 //! ORB features: FAST corners over a scale pyramid, spread over the image, oriented by the intensity centroid and
 //! described by steered BRIEF [Rublee et al., "ORB: an efficient alternative to SIFT or SURF", ICCV 2011].
 
+mod blur;
 mod brief;
 mod fast;
+mod lanes;
 mod orientation;
+mod pattern;
+mod quota;
 mod spread;
 
 use crate::{GrayImage, Pyramid};
+use fast::Corner;
 
 /// A described place in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,6 +107,9 @@ pub struct OrbConfig {
     /// Keypoints keep this distance from the edges of their level, pixels; at least 16, so that the patch of
     /// orientation and descriptor (radius 15) lies inside. Default 16.
     pub edge_margin_px: u32,
+    /// Share of the features chosen for covering the image, each the strongest of its square; the rest are the strongest
+    /// anywhere, which are the ones found again most often. 0 to 1. Default 0.5.
+    pub spread_share: f32,
 }
 
 impl Default for OrbConfig {
@@ -114,6 +122,7 @@ impl Default for OrbConfig {
             min_fast_threshold: 7,
             cell_size_px: 30,
             edge_margin_px: MIN_EDGE_MARGIN_PX,
+            spread_share: 0.5,
         }
     }
 }
@@ -147,6 +156,9 @@ pub enum OrbConfigError {
     /// `edge_margin_px` is below 16.
     #[error("edge_margin_px must be at least 16, not {0}")]
     EdgeMargin(u32),
+    /// `spread_share` is not between 0 and 1.
+    #[error("spread_share must be between 0 and 1, not {0}")]
+    SpreadShare(f32),
 }
 
 impl OrbConfig {
@@ -170,6 +182,9 @@ impl OrbConfig {
         if self.edge_margin_px < MIN_EDGE_MARGIN_PX {
             return Err(OrbConfigError::EdgeMargin(self.edge_margin_px));
         }
+        if !(0.0..=1.0).contains(&self.spread_share) {
+            return Err(OrbConfigError::SpreadShare(self.spread_share));
+        }
         Ok(())
     }
 
@@ -185,9 +200,13 @@ impl OrbConfig {
 pub struct OrbExtractor {
     config: OrbConfig,
     pyramid: Pyramid,
-    blurred: GrayImage,
     detector: fast::Detector,
-    pattern: brief::Pattern,
+    /// Corners of each level.
+    corners: Vec<Vec<Corner>>,
+    kept: Vec<Corner>,
+    blur: blur::Blur,
+    blurred: GrayImage,
+    tests: brief::SteeredTests,
 }
 
 impl OrbExtractor {
@@ -197,9 +216,12 @@ impl OrbExtractor {
         Ok(Self {
             config,
             pyramid: Pyramid::new(config.n_levels, config.scale_factor),
-            blurred: GrayImage::default(),
             detector: fast::Detector::default(),
-            pattern: brief::Pattern::new(),
+            corners: vec![Vec::new(); config.n_levels],
+            kept: Vec::new(),
+            blur: blur::Blur::default(),
+            blurred: GrayImage::default(),
+            tests: brief::SteeredTests::new(),
         })
     }
 
@@ -225,48 +247,50 @@ impl OrbExtractor {
 
     /// Finds and describes keypoints. An image without texture, or too small, gives few or none.
     pub fn extract(&mut self, image: &GrayImage) -> Features {
-        self.pyramid.build(image);
         let mut features = Features::default();
-        let quotas = level_quotas(&self.config);
-        for (level, &quota) in quotas.iter().enumerate() {
+        if image.is_empty() {
+            return features;
+        }
+        self.pyramid.build(image);
+        for (level_image, corners) in self.pyramid.levels().iter().zip(&mut self.corners) {
+            corners.clear();
+            self.detector.detect(level_image, &self.config, corners);
+        }
+        features.keypoints.reserve(self.config.n_features);
+        features.descriptors.reserve(self.config.n_features);
+        let quotas = quota::per_level(&self.config, self.corners.iter().map(Vec::len));
+        for (level, quota) in quotas.into_iter().enumerate() {
             let level_image = self.pyramid.level(level);
-            let corners = self.detector.detect(level_image, &self.config);
-            let kept = spread::spread(corners, level_image.width(), level_image.height(), quota);
-            if kept.is_empty() {
-                continue;
-            }
-            brief::blur(level_image, &mut self.blurred);
-            let scale_x = image.width() as f32 / level_image.width() as f32;
-            let scale_y = image.height() as f32 / level_image.height() as f32;
-            for corner in kept {
-                let (x, y) = (u32::from(corner.x), u32::from(corner.y));
-                let angle = orientation::angle(level_image, x, y);
-                features.keypoints.push(Keypoint {
-                    x: (x as f32 + 0.5) * scale_x - 0.5,
-                    y: (y as f32 + 0.5) * scale_y - 0.5,
-                    octave: level as u8,
-                    angle,
-                    response: f32::from(corner.score),
-                });
-                features.descriptors.push(self.pattern.describe(&self.blurred, x, y, angle));
+            let (width, height) = (level_image.width(), level_image.height());
+            let share = self.config.spread_share;
+            spread::spread(&mut self.corners[level], width, height, quota, share, &mut self.kept);
+            if !self.kept.is_empty() {
+                self.describe_level(level, &mut features);
             }
         }
         features
     }
-}
 
-/// Features wanted at each level: in proportion to the level's side, summing to `n_features`.
-fn level_quotas(config: &OrbConfig) -> Vec<usize> {
-    let shares: Vec<f64> =
-        (0..config.n_levels).map(|level| f64::from(config.scale_factor).powi(-(level as i32))).collect();
-    let total: f64 = shares.iter().sum();
-    let mut wanted_so_far = 0.0;
-    let mut given = 0;
-    let quota = |share: f64| {
-        wanted_so_far += config.n_features as f64 * share / total;
-        let quota = wanted_so_far.round() as usize - given;
-        given += quota;
-        quota
-    };
-    shares.into_iter().map(quota).collect()
+    /// Appends the corners of `self.kept`, which are of `level`, to `features`.
+    fn describe_level(&mut self, level: usize, features: &mut Features) {
+        let image = self.pyramid.level(level);
+        self.blur.apply(image, &mut self.blurred);
+        // The levels' sizes are rounded, so that the scales along x and y differ a little.
+        let full = self.pyramid.level(0);
+        let scale_x = full.width() as f32 / image.width() as f32;
+        let scale_y = full.height() as f32 / image.height() as f32;
+        for corner in &self.kept {
+            let (x, y) = (u32::from(corner.x), u32::from(corner.y));
+            let angle = orientation::angle(image, x, y);
+            features.keypoints.push(Keypoint {
+                // Pixel centres are at integers, the image's edge at -0.5; edges coincide in all levels.
+                x: (x as f32 + 0.5) * scale_x - 0.5,
+                y: (y as f32 + 0.5) * scale_y - 0.5,
+                octave: level as u8,
+                angle,
+                response: f32::from(corner.score),
+            });
+            features.descriptors.push(self.tests.describe(&self.blurred, x, y, angle));
+        }
+    }
 }
