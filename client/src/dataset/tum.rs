@@ -1,0 +1,59 @@
+//! TUM RGB-D [Sturm et al., IROS 2012]: `rgb.txt`, `groundtruth.txt`, and no calibration file.
+
+use std::path::Path;
+
+use geometry::{CameraModel, CameraParameters};
+
+use super::{Content, checked_camera, folder, listing};
+use crate::files::{FileError, TextFile};
+
+const LIST: &str = "rgb.txt";
+
+/// The calibrations of the colour images published with the data set: `fx fy cx cy`, then `k1 k2 p1 p2 k3`.
+/// The images of Freiburg 3 are published undistorted.
+const CALIBRATIONS: [(&str, [f64; 4], &[f64]); 3] = [
+    ("freiburg1", [517.3, 516.5, 318.6, 255.3], &[0.2624, -0.9531, -0.0054, 0.0026, 1.1633]),
+    ("freiburg2", [520.9, 521.0, 325.1, 249.7], &[0.2312, -0.7849, -0.0033, -0.0001, 0.9172]),
+    ("freiburg3", [535.4, 539.2, 320.1, 247.6], &[]),
+];
+
+pub(super) fn is_recording(root: &Path) -> bool {
+    root.join(LIST).is_file() && calibration(root).is_some()
+}
+
+pub(super) fn read(root: &Path) -> Result<Content, FileError> {
+    let list = root.join(LIST);
+    let Some(parameters) = calibration(root) else {
+        return Err(FileError::content(
+            root,
+            "neither the folder's name nor the comments of rgb.txt say freiburg1, freiburg2 or freiburg3",
+        ));
+    };
+    Ok(Content {
+        camera: checked_camera(&list, parameters)?,
+        frames: listing::read(root, &list)?,
+        ground_truth: folder::ground_truth(root)?,
+    })
+}
+
+/// The calibration of the camera named by the folder, or by the comments with which `rgb.txt` begins.
+fn calibration(root: &Path) -> Option<CameraParameters> {
+    let folder_name = root.file_name()?.to_string_lossy().to_lowercase();
+    let comments = || {
+        let file = TextFile::read(&root.join(LIST)).ok()?;
+        Some(file.text().lines().take_while(|line| line.starts_with('#')).collect::<String>().to_lowercase())
+    };
+    let of = |text: &str| CALIBRATIONS.iter().find(|(name, ..)| text.contains(name));
+    let (_, [fx, fy, cx, cy], distortion) = of(&folder_name).or_else(|| of(&comments()?))?;
+    let model = if distortion.is_empty() { CameraModel::Pinhole } else { CameraModel::Radtan };
+    Some(CameraParameters {
+        model,
+        width: 640,
+        height: 480,
+        fx: *fx,
+        fy: *fy,
+        cx: *cx,
+        cy: *cy,
+        distortion: distortion.to_vec(),
+    })
+}
