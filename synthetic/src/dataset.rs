@@ -17,7 +17,8 @@ impl GrayImage {
     /// If the file cannot be written.
     pub fn save_png(&self, path: impl AsRef<Path>) -> io::Result<()> {
         let (width, height) = (self.width(), self.height());
-        image::save_buffer(path, self.pixels(), width, height, image::ExtendedColorType::L8).map_err(io::Error::other)
+        image::save_buffer(path, self.pixels(), width, height, image::ExtendedColorType::L8)
+            .map_err(io::Error::other)
     }
 }
 

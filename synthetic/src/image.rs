@@ -49,12 +49,14 @@ impl GrayImage {
 
     /// Bilinear grey level at a real position; `None` outside of the pixel centres.
     pub fn sample(&self, x: f64, y: f64) -> Option<f64> {
-        let inside = x >= 0.0 && y >= 0.0 && x < f64::from(self.width) - 1.0 && y < f64::from(self.height) - 1.0;
+        let inside =
+            x >= 0.0 && y >= 0.0 && x < f64::from(self.width) - 1.0 && y < f64::from(self.height) - 1.0;
         inside.then(|| {
             let (x0, y0) = (x as u32, y as u32);
             let (fx, fy) = (x - f64::from(x0), y - f64::from(y0));
             let at = |dx, dy| f64::from(self.get(x0 + dx, y0 + dy));
-            (at(0, 0) * (1.0 - fx) + at(1, 0) * fx) * (1.0 - fy) + (at(0, 1) * (1.0 - fx) + at(1, 1) * fx) * fy
+            (at(0, 0) * (1.0 - fx) + at(1, 0) * fx) * (1.0 - fy)
+                + (at(0, 1) * (1.0 - fx) + at(1, 1) * fx) * fy
         })
     }
 }

@@ -36,6 +36,6 @@ pub use segments::VisibleSegment;
 pub use sequence::{Preset, Sequence, SequenceConfig, SyntheticFrame, UnknownPreset};
 pub use texture::Material;
 pub use world::{
-    AtlantaConfig, CorridorConfig, CorridorShape, FourRoomsConfig, Light, RayHit, RoomConfig, Surface, Texture,
-    TrueSegment, UnstructuredConfig, World, WorldConfig,
+    AtlantaConfig, CorridorConfig, CorridorShape, FourRoomsConfig, Light, RayHit, RoomConfig, Surface,
+    Texture, TrueSegment, UnstructuredConfig, World, WorldConfig,
 };

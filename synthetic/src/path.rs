@@ -132,7 +132,9 @@ impl Path {
         let samples = config.kind.samples(config.seed);
         let jitter = config.jitter.map_or_else(Vec::new, |jitter| jitter.sines(config.seed));
         let shake = |axes: &[[Sine; 3]]| {
-            axes.iter().map(|axis| axis.iter().map(|s| s.amplitude * s.rate_rad_s).sum::<f64>().powi(2)).sum::<f64>()
+            axes.iter()
+                .map(|axis| axis.iter().map(|s| s.amplitude * s.rate_rad_s).sum::<f64>().powi(2))
+                .sum::<f64>()
         };
         let speed = config.limits.speed - shake(&jitter[..jitter.len() / 2]).sqrt();
         let rotation = config.limits.rotation_deg.to_radians() - shake(&jitter[jitter.len() / 2..]).sqrt();
@@ -292,7 +294,8 @@ fn retime(samples: &[Sample], speed: f64, rotation: f64) -> Vec<Sample> {
         .collect();
     // The greatest need within reach, then its mean over the same reach: smooth, and never too short.
     let window = |i: usize| i.saturating_sub(SMOOTHING_STEPS)..(i + SMOOTHING_STEPS + 1).min(needed.len());
-    let greatest: Vec<f64> = (0..needed.len()).map(|i| needed[window(i)].iter().copied().fold(0.0, f64::max)).collect();
+    let greatest: Vec<f64> =
+        (0..needed.len()).map(|i| needed[window(i)].iter().copied().fold(0.0, f64::max)).collect();
     let mut times = vec![0.0];
     for i in 0..needed.len() {
         let around = &greatest[window(i)];

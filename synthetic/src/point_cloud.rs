@@ -125,7 +125,12 @@ impl PointCloudWorld {
                 } else {
                     pixel + Vector2::new(normal(rng), normal(rng)) * config.noise_px
                 };
-                self.observations.push(Observation { camera: camera_idx, point: point_idx, pixel, is_outlier });
+                self.observations.push(Observation {
+                    camera: camera_idx,
+                    point: point_idx,
+                    pixel,
+                    is_outlier,
+                });
             }
         }
     }

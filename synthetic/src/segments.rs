@@ -52,8 +52,7 @@ impl View<'_> {
         const COARSE: usize = 24;
         let coarse: Vec<Option<Vector2<f64>>> =
             (0..=COARSE).map(|k| self.project(&point_at(k as f64 / COARSE as f64))).collect();
-        let length: f64 =
-            coarse.windows(2).filter_map(|pair| Some((pair[0]? - pair[1]?).norm())).sum();
+        let length: f64 = coarse.windows(2).filter_map(|pair| Some((pair[0]? - pair[1]?).norm())).sum();
         if coarse.iter().all(Option::is_none) {
             return Vec::new();
         }

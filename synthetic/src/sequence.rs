@@ -12,8 +12,8 @@ use crate::random::mix;
 use crate::render::{RenderOptions, Renderer};
 use crate::segments::{self, VisibleSegment};
 use crate::world::{
-    AtlantaConfig, CorridorConfig, CorridorShape, FourRoomsConfig, RayHit, RoomConfig, Texture, UnstructuredConfig,
-    World, WorldConfig,
+    AtlantaConfig, CorridorConfig, CorridorShape, FourRoomsConfig, RayHit, RoomConfig, Texture,
+    UnstructuredConfig, World, WorldConfig,
 };
 
 /// Timestamp of the first frame, so that no timestamp is zero.
@@ -88,7 +88,10 @@ impl FromStr for Preset {
     type Err = UnknownPreset;
 
     fn from_str(name: &str) -> Result<Self, UnknownPreset> {
-        Self::ALL.into_iter().find(|preset| preset.name() == name).ok_or_else(|| UnknownPreset(name.to_owned()))
+        Self::ALL
+            .into_iter()
+            .find(|preset| preset.name() == name)
+            .ok_or_else(|| UnknownPreset(name.to_owned()))
     }
 }
 
@@ -164,8 +167,12 @@ fn preset_parts(preset: Preset, seed: u64) -> (WorldConfig, PathKind, MotionLimi
     match preset {
         Preset::RoomRich => (room(Texture::Rich), orbit(1.7, 1.3, 1.45), calm),
         Preset::RoomPoor => (room(Texture::Poor), orbit(1.7, 1.3, 1.45), calm),
-        Preset::CorridorStraight => (corridor(straight, None), walk(down_the_corridor, None, 0.3, 10.0), walking),
-        Preset::LookAlike => (corridor(straight, Some(4.5)), walk(down_the_corridor, None, 0.3, 10.0), walking),
+        Preset::CorridorStraight => {
+            (corridor(straight, None), walk(down_the_corridor, None, 0.3, 10.0), walking)
+        }
+        Preset::LookAlike => {
+            (corridor(straight, Some(4.5)), walk(down_the_corridor, None, 0.3, 10.0), walking)
+        }
         Preset::CorridorRing => {
             let (length_x, length_y) = (14.0, 10.0);
             let corner = |sx: f64, sy: f64| Vector2::new(0.5 * sx * length_x, 0.5 * sy * length_y);
@@ -190,7 +197,8 @@ fn preset_parts(preset: Preset, seed: u64) -> (WorldConfig, PathKind, MotionLimi
             (world, orbit(1.9, 1.7, 1.5), calm)
         }
         Preset::Unstructured => {
-            let world = WorldConfig::Unstructured(UnstructuredConfig { seed, ..UnstructuredConfig::default() });
+            let world =
+                WorldConfig::Unstructured(UnstructuredConfig { seed, ..UnstructuredConfig::default() });
             (world, orbit(1.2, 1.0, 0.0), calm)
         }
     }

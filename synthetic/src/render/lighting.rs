@@ -8,9 +8,11 @@ use crate::texture::Canvas;
 use crate::world::{Surface, World};
 
 /// Light that comes from everywhere, as a share of full white.
-const AMBIENT: f64 = 0.42;
+const AMBIENT: f64 = 0.52;
 /// Distance between grid points where light is computed; shadows are as soft as this.
 const CELL: f64 = 0.12;
+/// Grid points on the rim of a surface are drawn in by this much.
+const RIM_INSET: f64 = 0.02;
 /// Surfaces up to this far apart do not shadow each other, nor do lamps' own housings.
 const SHADOW_MARGIN: f64 = 0.03;
 /// Lamps that add less than this are not traced.
@@ -29,13 +31,15 @@ impl LightMap {
         let cell = surface.size.component_div(&spans);
         let (columns, rows) = (spans.x as usize + 1, spans.y as usize + 1);
         let normal = surface.normal();
+        let inset_of = |length: f64| f64::min(RIM_INSET, 0.25 * length);
         let mut values = Vec::with_capacity(columns * rows);
         for row in 0..rows {
             for column in 0..columns {
                 // Points at the rim are drawn in, so that they are not inside of an adjoining wall.
                 let uv = Vector2::new(column as f64 * cell.x, row as f64 * cell.y);
-                let inset = uv.zip_map(&surface.size, |x, length| x.clamp(0.0_f64.min(length), length));
-                let point = surface.point(&inset) + normal * 0.01;
+                let drawn_in = uv
+                    .zip_map(&surface.size, |x, length| x.clamp(inset_of(length), length - inset_of(length)));
+                let point = surface.point(&drawn_in) + normal * 0.01;
                 values.push(irradiance(world, &point, &normal) as f32);
             }
         }
@@ -78,7 +82,8 @@ fn irradiance(world: &World, point: &Vector3<f64>, normal: &Vector3<f64>) -> f64
             let distance = offset.norm().max(1e-6);
             let cosine = normal.dot(&offset) / distance;
             let share = light.intensity * cosine.max(0.0) / (1.0 + (distance / light.reach).powi(2));
-            let visible = share > MIN_CONTRIBUTION && world.is_visible_between(point, &light.position, SHADOW_MARGIN);
+            let visible =
+                share > MIN_CONTRIBUTION && world.is_visible_between(point, &light.position, SHADOW_MARGIN);
             if visible { share } else { 0.0 }
         })
         .sum();

@@ -55,7 +55,8 @@ impl RayTable {
     pub fn cone(&self, x0: usize, y0: usize, size: usize) -> Option<Cone> {
         let (x1, y1) = ((x0 + size).min(self.stride - 1), (y0 + size).min(self.rows - 1));
         let step = if size > TILE { 4 } else { 1 };
-        let rays = (y0..=y1).step_by(step).flat_map(|y| (x0..=x1).step_by(step).map(move |x| self.corner(x, y)));
+        let rays =
+            (y0..=y1).step_by(step).flat_map(|y| (x0..=x1).step_by(step).map(move |x| self.corner(x, y)));
         let sum = rays.clone().fold([0.0_f32; 3], |sum, ray| std::array::from_fn(|i| sum[i] + ray[i]));
         let length = dot(sum, sum).sqrt();
         if length < 1e-6 {

@@ -24,9 +24,11 @@ pub(crate) fn shade_band(renderer: &Renderer, frame: &FrameFaces, first_row: usi
     let width = renderer.camera.width() as usize;
     let n_rows = pixels.len() / width;
     let map = VisibilityMap::new(&renderer.rays, frame, first_row, first_row + n_rows);
-    let textures: Vec<std::cell::OnceCell<&MipTexture>> = frame.faces.iter().map(|_| Default::default()).collect();
-    let texture_of =
-        |id: u16| *textures[usize::from(id)].get_or_init(|| renderer.texture(frame.faces[usize::from(id)].surface));
+    let textures: Vec<std::cell::OnceCell<&MipTexture>> =
+        frame.faces.iter().map(|_| Default::default()).collect();
+    let texture_of = |id: u16| {
+        *textures[usize::from(id)].get_or_init(|| renderer.texture(frame.faces[usize::from(id)].surface))
+    };
     for (row, line) in pixels.chunks_exact_mut(width).enumerate() {
         let y = first_row + row;
         let (upper, lower) = (map.row(y), map.row(y + 1));
@@ -34,7 +36,8 @@ pub(crate) fn shade_band(renderer: &Renderer, frame: &FrameFaces, first_row: usi
         while x < width {
             let id = upper[x];
             let run_end = ((x / RUN + 1) * RUN).min(width);
-            let interior = |x: usize| upper[x] == id && upper[x + 1] == id && lower[x] == id && lower[x + 1] == id;
+            let interior =
+                |x: usize| upper[x] == id && upper[x + 1] == id && lower[x] == id && lower[x + 1] == id;
             let end = (x..run_end).find(|x| !interior(*x)).unwrap_or(run_end);
             if end == x {
                 line[x] = mixed_pixel(&renderer.rays, frame, &map, texture_of, x, y);

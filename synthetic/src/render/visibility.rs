@@ -175,7 +175,14 @@ impl VisibilityMap {
         &self.candidates[list.start as usize..list.end as usize]
     }
 
-    fn decide_tile(&mut self, rays: &RayTable, frame: &FrameFaces, among: &[u16], tile_x: usize, tile_y: usize) {
+    fn decide_tile(
+        &mut self,
+        rays: &RayTable,
+        frame: &FrameFaces,
+        among: &[u16],
+        tile_x: usize,
+        tile_y: usize,
+    ) {
         let (x0, y0) = (tile_x * TILE, tile_y * TILE);
         let Some(cone) = rays.cone(x0, y0, TILE) else { return };
         let mut found = Vec::new();

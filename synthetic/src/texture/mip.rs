@@ -41,7 +41,8 @@ impl Footprint {
         if n_taps == 1.0 {
             return Self { level, n_taps: 1, step_u: 0.0, step_v: 0.0 };
         }
-        let (axis_u, axis_v) = if uu >= vv { (uu - vv + 2.0 * root, 2.0 * uv) } else { (2.0 * uv, vv - uu + 2.0 * root) };
+        let (axis_u, axis_v) =
+            if uu >= vv { (uu - vv + 2.0 * root, 2.0 * uv) } else { (2.0 * uv, vv - uu + 2.0 * root) };
         let scale = major / (n_taps * axis_u.hypot(axis_v).max(1e-12));
         Self { level, n_taps: n_taps as u32, step_u: axis_u * scale, step_v: axis_v * scale }
     }
@@ -68,7 +69,8 @@ impl MipTexture {
         let mut sum = 0.0;
         for tap in 0..footprint.n_taps {
             let offset = first + tap as f32;
-            sum += self.trilinear(u + offset * footprint.step_u, v + offset * footprint.step_v, footprint.level);
+            sum +=
+                self.trilinear(u + offset * footprint.step_u, v + offset * footprint.step_v, footprint.level);
         }
         sum / footprint.n_taps as f32
     }

@@ -209,7 +209,14 @@ fn rows_of_marks(canvas: &mut Canvas, area: (f64, f64, f64, f64), row: f64, rng:
             for _ in 0..2 {
                 let (du, dv) = (rng.random_range(0.0..0.3 * width), rng.random_range(0.0..0.3 * row));
                 let right = (u + width - rng.random_range(0.0..0.4 * width)).min(u1);
-                canvas.rectangle(u + du, v + dv, right, v + dv + row * rng.random_range(0.1..0.5), 0.08, 0.95);
+                canvas.rectangle(
+                    u + du,
+                    v + dv,
+                    right,
+                    v + dv + row * rng.random_range(0.1..0.5),
+                    0.08,
+                    0.95,
+                );
             }
             u += width * 1.25 + if rng.random_bool(0.2) { 0.5 * row } else { 0.0 };
         }

@@ -67,7 +67,13 @@ impl AtlantaConfig {
             for (from, to) in [(low.x, high.x), (high.x, low.x)] {
                 let y = if from < to { low.y } else { high.y };
                 let side = Wall::between(place.point(from, y, 0.0), place.point(to, y, 0.0), height);
-                pictures(&mut b, &side, Area::new(0.05, side.length, 0.4, height - 0.2), self.texture, &mut rng);
+                pictures(
+                    &mut b,
+                    &side,
+                    Area::new(0.05, side.length, 0.4, height - 0.2),
+                    self.texture,
+                    &mut rng,
+                );
             }
         }
         b.finish()

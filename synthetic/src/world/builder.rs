@@ -87,7 +87,6 @@ pub(crate) struct WorldBuilder {
     lights: Vec<Light>,
     segments: Vec<TrueSegment>,
     families: Vec<Direction>,
-    seed: u64,
     /// Seed of the next surface's painting; look-alike modules set it back to repeat themselves.
     paint_seed: u64,
 }
@@ -102,7 +101,6 @@ impl WorldBuilder {
             lights: Vec::new(),
             segments: Vec::new(),
             families,
-            seed,
             paint_seed: mix(seed, 1),
         }
     }
@@ -164,7 +162,9 @@ impl WorldBuilder {
         let v_axis = normal.cross(&u_axis);
         let flat: Vec<Vector2<f64>> = corners
             .iter()
-            .map(|corner| Vector2::new(u_axis.dot(&(corner - corners[0])), v_axis.dot(&(corner - corners[0]))))
+            .map(|corner| {
+                Vector2::new(u_axis.dot(&(corner - corners[0])), v_axis.dot(&(corner - corners[0])))
+            })
             .collect();
         let low = flat.iter().fold(Vector2::repeat(f64::INFINITY), |low, p| low.inf(p));
         let high = flat.iter().fold(Vector2::repeat(f64::NEG_INFINITY), |high, p| high.sup(p));
@@ -234,7 +234,6 @@ impl WorldBuilder {
             lights: self.lights,
             segments: self.segments,
             vanishing_directions: self.families,
-            seed: self.seed,
         }
     }
 

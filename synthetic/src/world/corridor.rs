@@ -124,8 +124,8 @@ impl CorridorConfig {
     fn fitted_wall(&self, b: &mut WorldBuilder, wall: &Wall, index: u64) {
         let look = look_of(self.texture);
         let mut rng = stream(mix(self.seed, index), "corridor wall");
-        let pitch = self.look_alike_every.unwrap_or(MODULE_LENGTH);
-        let n_modules = (wall.length / pitch).floor() as u64;
+        let n_modules = (wall.length / self.look_alike_every.unwrap_or(MODULE_LENGTH)).floor() as u64;
+        let pitch = self.look_alike_every.unwrap_or(wall.length / n_modules.max(1) as f64);
         if self.look_alike_every.is_some() && n_modules > 0 {
             self.repeated_wall(b, wall, pitch, index);
         } else {
@@ -139,7 +139,7 @@ impl CorridorConfig {
             doors.extend(self.module(b, wall, module as f64 * pitch, pitch, &mut module_rng));
         }
         if n_modules == 0 && wall.length > 1.6 {
-            // An end wall: a door in its middle.
+            // The end of a corridor: a door in its middle.
             let u = 0.5 * (wall.length - DOOR_SIZE.0);
             furniture::door(b, wall, u, &look);
             doors.push(Area::new(u, u + DOOR_SIZE.0, 0.0, DOOR_SIZE.1));
@@ -166,7 +166,7 @@ impl CorridorConfig {
         }
     }
 
-    /// One stretch of wall: usually a door, sometimes a picture or a notice. Returns its door.
+    /// One stretch of wall: usually a door, and beside it a picture or notices. Returns its door.
     fn module(
         &self,
         b: &mut WorldBuilder,
@@ -182,13 +182,15 @@ impl CorridorConfig {
             furniture::door(b, wall, u, &look);
         }
         let beside = Area::new(u + DOOR_SIZE.0 + 0.3, from + length - 0.1, 1.1, 2.0);
-        match rng.random_range(0..3) {
-            0 => pictures(b, wall, beside, self.texture, rng),
-            1 if beside.u1 - beside.u0 > 0.5 => {
-                let sheet = Area::new(beside.u0, beside.u0 + 0.42, 1.3, 1.9);
-                furniture::poster(b, wall, sheet, Material::Text);
-            }
-            _ => {}
+        if rng.random_bool(0.5) {
+            pictures(b, wall, beside, self.texture, rng);
+        } else if beside.u1 - beside.u0 > 0.6 {
+            let left = rng.random_range(beside.u0..beside.u1 - 0.5);
+            furniture::poster(b, wall, Area::new(left, left + 0.42, 1.3, 1.9), Material::Text);
+        }
+        if u - from > 0.9 {
+            let left = from + 0.25;
+            furniture::poster(b, wall, Area::new(left, left + 0.3, 1.35, 1.77), Material::Text);
         }
         has_door.then(|| Area::new(u, u + DOOR_SIZE.0, 0.0, DOOR_SIZE.1))
     }
@@ -202,7 +204,13 @@ impl CorridorConfig {
             let middle = start + along * at;
             let place = Placement::at(middle.x, middle.y, self.height, yaw);
             let housing = Material::Paint { albedo: 0.95 };
-            b.cuboid(&place, Vector3::new(-0.6, -0.12, -0.06), Vector3::new(0.6, 0.12, 0.0), housing, housing);
+            b.cuboid(
+                &place,
+                Vector3::new(-0.6, -0.12, -0.06),
+                Vector3::new(0.6, 0.12, 0.0),
+                housing,
+                housing,
+            );
             b.light(middle + Vector3::z() * (self.height - 0.3), 0.62, 2.2);
             at += pitch;
         }

@@ -93,7 +93,14 @@ pub(crate) fn window(b: &mut WorldBuilder, wall: &Wall, area: Area, look: &Look)
     frame(b, wall, area, (0.0, 0.05), true, look.frame);
     b.panel(wall, area, 0.0, 0.006, Material::Sky, look.frame);
     let middle = 0.5 * (area.u0 + area.u1);
-    b.panel(wall, Area::new(middle - 0.03, middle + 0.03, area.v0, area.v1), 0.006, 0.05, look.frame, look.frame);
+    b.panel(
+        wall,
+        Area::new(middle - 0.03, middle + 0.03, area.v0, area.v1),
+        0.006,
+        0.05,
+        look.frame,
+        look.frame,
+    );
     let sill = Area::new(area.u0 - 0.12, area.u1 + 0.12, area.v0 - FRAME_WIDTH - 0.03, area.v0 - FRAME_WIDTH);
     b.panel(wall, sill, 0.0, 0.16, look.wood, look.wood);
 }
@@ -124,7 +131,14 @@ pub(crate) fn skirting(b: &mut WorldBuilder, wall: &Wall, gaps: &[Area], look: &
 }
 
 /// Shelves with books, standing against the wall.
-pub(crate) fn bookshelf(b: &mut WorldBuilder, wall: &Wall, area: Area, depth: f64, look: &Look, books: Material) {
+pub(crate) fn bookshelf(
+    b: &mut WorldBuilder,
+    wall: &Wall,
+    area: Area,
+    depth: f64,
+    look: &Look,
+    books: Material,
+) {
     let board = 0.03;
     let n_shelves = ((area.v1 - area.v0) / 0.36).round().max(2.0) as usize;
     b.panel(wall, Area::new(area.u0, area.u0 + board, area.v0, area.v1), 0.0, depth, look.wood, look.wood);
@@ -132,7 +146,14 @@ pub(crate) fn bookshelf(b: &mut WorldBuilder, wall: &Wall, area: Area, depth: f6
     let pitch = (area.v1 - area.v0 - board) / n_shelves as f64;
     for shelf in 0..=n_shelves {
         let v = area.v0 + pitch * shelf as f64;
-        b.panel(wall, Area::new(area.u0 + board, area.u1 - board, v, v + board), 0.0, depth, look.wood, look.wood);
+        b.panel(
+            wall,
+            Area::new(area.u0 + board, area.u1 - board, v, v + board),
+            0.0,
+            depth,
+            look.wood,
+            look.wood,
+        );
         if shelf < n_shelves {
             let row = Area::new(area.u0 + board, area.u1 - board, v + board, v + 0.8 * pitch);
             b.panel(wall, row, 0.0, 0.7 * depth, books, look.wood);
@@ -152,13 +173,7 @@ pub(crate) fn cupboard(b: &mut WorldBuilder, wall: &Wall, area: Area, depth: f64
 /// A table of `size` (length, width, height), its middle at the placement.
 pub(crate) fn table(b: &mut WorldBuilder, place: &Placement, size: Vector3<f64>, look: &Look) {
     let (hx, hy, top) = (0.5 * size.x, 0.5 * size.y, size.z);
-    b.cuboid(
-        place,
-        Vector3::new(-hx, -hy, top - 0.04),
-        Vector3::new(hx, hy, top),
-        look.frame,
-        look.wood,
-    );
+    b.cuboid(place, Vector3::new(-hx, -hy, top - 0.04), Vector3::new(hx, hy, top), look.frame, look.wood);
     let (inset, leg) = (0.05, 0.06);
     for (sx, sy) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)] {
         let middle = Vector3::new(sx * (hx - inset - 0.5 * leg), sy * (hy - inset - 0.5 * leg), 0.0);

@@ -55,7 +55,6 @@ pub struct World {
     pub(crate) lights: Vec<Light>,
     pub(crate) segments: Vec<TrueSegment>,
     pub(crate) vanishing_directions: Vec<Direction>,
-    pub(crate) seed: u64,
 }
 
 /// A textured plane. Several faces may lie on one surface and share its texture without a seam.
@@ -216,7 +215,8 @@ impl World {
         if face.contains(&uv) {
             return height.abs();
         }
-        let in_plane = face.edges().map(|(a, b)| distance_to_segment(&uv, &a, &b)).fold(f64::INFINITY, f64::min);
+        let in_plane =
+            face.edges().map(|(a, b)| distance_to_segment(&uv, &a, &b)).fold(f64::INFINITY, f64::min);
         height.hypot(in_plane)
     }
 }

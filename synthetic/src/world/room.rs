@@ -187,7 +187,13 @@ fn wall_with_shelves(b: &mut WorldBuilder, wall: &Wall, texture: Texture, rng: &
 }
 
 /// Pictures and posters side by side in `area`: close together where the look is rich, at most one else.
-pub(crate) fn pictures(b: &mut WorldBuilder, wall: &Wall, area: Area, texture: Texture, rng: &mut ChaCha8Rng) {
+pub(crate) fn pictures(
+    b: &mut WorldBuilder,
+    wall: &Wall,
+    area: Area,
+    texture: Texture,
+    rng: &mut ChaCha8Rng,
+) {
     let look = look_of(texture);
     let mut u = area.u0 + rng.random_range(0.0..0.25);
     loop {

@@ -59,9 +59,16 @@ impl UnstructuredConfig {
             })
         };
         let mut triangles = Vec::new();
-        for (sx, sy, sz) in
-            [(1, 1, 1), (-1, 1, 1), (1, -1, 1), (-1, -1, 1), (1, 1, -1), (-1, 1, -1), (1, -1, -1), (-1, -1, -1)]
-        {
+        for (sx, sy, sz) in [
+            (1, 1, 1),
+            (-1, 1, 1),
+            (1, -1, 1),
+            (-1, -1, 1),
+            (1, 1, -1),
+            (-1, 1, -1),
+            (1, -1, -1),
+            (-1, -1, -1),
+        ] {
             for i in 0..n {
                 for j in 0..(n - i) {
                     let mut at = |i: i32, j: i32| vertex(sx * i, sy * j, sz * (n - i - j));
