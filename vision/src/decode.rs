@@ -4,6 +4,8 @@
 mod convert;
 mod jpeg;
 mod png;
+#[cfg(test)]
+mod tests;
 
 use crate::GrayImage;
 

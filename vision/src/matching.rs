@@ -224,3 +224,130 @@ fn rotation_bin(change: f32) -> Option<usize> {
     let bins = (turns - turns.floor()) * N_ROTATION_BINS as f32;
     bins.is_finite().then(|| bins.round() as usize % N_ROTATION_BINS)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_images::Random;
+    use crate::{GridBounds, Keypoint};
+
+    fn random_features(random: &mut Random, n: usize) -> Features {
+        let mut features = Features::default();
+        for _ in 0..n {
+            features.keypoints.push(Keypoint {
+                x: random.unit() * 640.0,
+                y: random.unit() * 480.0,
+                octave: random.below(3) as u8,
+                angle: random.unit() * std::f32::consts::TAU,
+                response: 20.0,
+            });
+            let word = |random: &mut Random| u64::from(random.bits()) << 32 | u64::from(random.bits());
+            features.descriptors.push(Descriptor(std::array::from_fn(|_| word(random))));
+        }
+        features
+    }
+
+    /// The same features in reverse order, moved and turned, with a few bits flipped.
+    fn seen_again(random: &mut Random, features: &Features, dx: f32, turn: f32) -> Features {
+        let mut again = features.clone();
+        again.keypoints.reverse();
+        again.descriptors.reverse();
+        for k in &mut again.keypoints {
+            k.x += dx;
+            k.angle = (k.angle + turn).rem_euclid(std::f32::consts::TAU);
+        }
+        for d in &mut again.descriptors {
+            (0..12).for_each(|_| d.0[random.below(4) as usize] ^= 1 << random.below(64));
+        }
+        again
+    }
+
+    #[test]
+    fn the_best_two_are_those_of_a_sorted_list() {
+        let mut random = Random::new(1);
+        let features = random_features(&mut random, 100);
+        for query in &features.descriptors[..20] {
+            let candidates: Vec<u32> = (20..100).filter(|_| random.below(4) == 0).collect();
+            let mut sorted: Vec<(u32, u32)> =
+                candidates.iter().map(|&i| (query.distance(&features.descriptors[i as usize]), i)).collect();
+            sorted.sort_unstable_by_key(|&(distance, _)| distance);
+            let best = best_two(query, &features.descriptors, &candidates).unwrap();
+            assert_eq!((best.best, best.second), (sorted[0].0, sorted[1].0));
+            assert_eq!(query.distance(&features.descriptors[best.best_idx as usize]), best.best);
+            assert_eq!(query.distance(&features.descriptors[best.second_idx.unwrap() as usize]), best.second);
+        }
+        assert_eq!(best_two(&features.descriptors[0], &features.descriptors, &[]), None);
+        let lone = best_two(&features.descriptors[0], &features.descriptors, &[1]).unwrap();
+        assert!(lone.second_idx.is_none() && lone.passes_ratio(0.1));
+    }
+
+    #[test]
+    fn all_against_all_finds_each_feature_again() {
+        let mut random = Random::new(2);
+        let first = random_features(&mut random, 300);
+        let second = seen_again(&mut random, &first, 500.0, 1.0);
+        let found = match_brute_force(&first, &second, &MatchConfig::default());
+        assert_eq!(found.len(), 300);
+        assert!(found.iter().all(|m| m.first_idx + m.second_idx == 299 && m.distance <= 12));
+        assert!(match_brute_force(&first, &Features::default(), &MatchConfig::default()).is_empty());
+        assert!(match_brute_force(&Features::default(), &second, &MatchConfig::default()).is_empty());
+    }
+
+    #[test]
+    fn a_repeated_feature_is_ambiguous_and_matches_are_mutual() {
+        let mut random = Random::new(3);
+        let first = random_features(&mut random, 2);
+        let mut second = first.clone();
+        second.keypoints.push(first.keypoints[0]);
+        second.descriptors.push(first.descriptors[0]);
+        // Distance 0 is not below 0.9 * 0.
+        let found = match_brute_force(&first, &second, &MatchConfig::default());
+        assert_eq!(found, [DescriptorMatch { first_idx: 1, second_idx: 1, distance: 0 }]);
+        // Two features of the first set want the same one of the second: the nearer gets it.
+        let mut first = first;
+        first.keypoints.push(first.keypoints[1]);
+        first.descriptors.push(Descriptor(first.descriptors[1].0.map(|word| word ^ 1)));
+        let found = match_brute_force(&first, &second, &MatchConfig::default());
+        assert_eq!(found, [DescriptorMatch { first_idx: 1, second_idx: 1, distance: 0 }]);
+    }
+
+    #[test]
+    fn windows_limit_matches_to_the_neighbourhood_and_the_finest_level() {
+        let mut random = Random::new(4);
+        let first = random_features(&mut random, 300);
+        let second = seen_again(&mut random, &first, 40.0, 0.0);
+        let grid = KeypointGrid::from_keypoints(&second.keypoints, GridBounds::of_image(640, 480));
+        let mut expected: Vec<(f32, f32)> = first.keypoints.iter().map(|k| (k.x, k.y)).collect();
+        let n_finest = first.keypoints.iter().filter(|k| k.octave == 0).count();
+        let config = MatchConfig::default();
+        let found = match_in_window(&first, &expected, &second, &grid, 100.0, &config);
+        assert_eq!(found.len(), n_finest);
+        assert!(found.iter().all(|m| m.first_idx + m.second_idx == 299));
+        assert!(match_in_window(&first, &expected, &second, &grid, 30.0, &config).is_empty());
+        expected.iter_mut().for_each(|p| p.0 = f32::NAN);
+        assert!(match_in_window(&first, &expected, &second, &grid, 100.0, &config).is_empty());
+    }
+
+    #[test]
+    fn the_common_turns_are_kept() {
+        let mut rotation = RotationConsistency::new();
+        let degrees = |d: f32| d.to_radians();
+        // Around zero from both sides, whatever the number of whole turns: one cell.
+        for d in [-5.0, 3.0, 364.0, -358.0, 1.0, 0.0, 2.0, -1.0, 4.0, 5.0, 721.0, -2.0] {
+            rotation.add(degrees(d));
+        }
+        (0..3).for_each(|_| rotation.add(degrees(120.0)));
+        (0..2).for_each(|_| rotation.add(degrees(240.0)));
+        rotation.add(degrees(180.0));
+        rotation.add(f32::NAN);
+        let kept = rotation.dominant();
+        for d in [0.0, 359.0, -3.0, 120.0, 240.0] {
+            assert!(kept.accepts(degrees(d)), "{d}");
+        }
+        for d in [60.0, 180.0] {
+            assert!(!kept.accepts(degrees(d)), "{d}");
+        }
+        assert!(!kept.accepts(f32::NAN) && !kept.accepts(f32::INFINITY));
+        assert!(!RotationConsistency::new().dominant().accepts(0.0));
+    }
+}

@@ -55,3 +55,40 @@ impl AreaSpan {
         (0..new).map(span).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_images;
+
+    #[test]
+    fn whole_ratios_average_blocks() {
+        let image = test_images::noise(40, 30, 255, 1);
+        let out = resize_area(&image, 20, 10);
+        for y in 0..10 {
+            for x in 0..20 {
+                let sum: u32 =
+                    (0..6).map(|i| u32::from(image.row(3 * y + i / 2)[(2 * x + i % 2) as usize])).sum();
+                assert_eq!(out.get(x, y), Some(((f64::from(sum) / 6.0) + 0.5) as u8));
+            }
+        }
+    }
+
+    #[test]
+    fn fine_stripes_average_to_grey() {
+        let image = GrayImage::from_fn(640, 480, |x, _| if x % 2 == 0 { 0 } else { 200 });
+        let out = resize_area(&image, 150, 100);
+        // 4.27 pixels a new pixel: at most a quarter of a stripe more of one kind than of the other.
+        assert!(out.as_raw().iter().all(|&p| p.abs_diff(100) < 25));
+    }
+
+    #[test]
+    fn sizes_of_one_and_none_are_handled() {
+        let image = GrayImage::from_fn(7, 5, |_, _| 90);
+        for (width, height) in [(1, 1), (7, 5), (20, 3)] {
+            assert_eq!(resize_area(&image, width, height), GrayImage::from_fn(width, height, |_, _| 90));
+        }
+        assert!(resize_area(&image, 0, 3).is_empty());
+        assert_eq!(resize_area(&GrayImage::new(0, 4), 2, 2), GrayImage::new(2, 2));
+    }
+}

@@ -10,6 +10,7 @@ use super::{DecodeError, DecodeLimits};
 use crate::GrayImage;
 
 const FORMAT: &str = "JPEG";
+const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
 
 pub(super) fn has_signature(data: &[u8]) -> bool {
     data.starts_with(b"\xFF\xD8\xFF")
@@ -28,6 +29,10 @@ pub(super) fn decode(data: &[u8], limits: &DecodeLimits) -> Result<GrayImage, De
     let (width, height) = decoder.dimensions().unwrap_or((0, 0));
     let (width, height) = (width as u32, height as u32);
     limits.check_size(width, height)?;
+    // The decoder fills what is missing with grey; we would rather know. Only the end-of-image marker tells.
+    if !data.windows(2).rev().any(|marker| marker == END_OF_IMAGE) {
+        return Err(DecodeError::Truncated { format: FORMAT });
+    }
     let pixels = decoder.decode().map_err(describe)?;
     GrayImage::from_raw(width, height, pixels)
         .map_err(|e| DecodeError::Malformed { format: FORMAT, reason: e.to_string() })
@@ -35,7 +40,8 @@ pub(super) fn decode(data: &[u8], limits: &DecodeLimits) -> Result<GrayImage, De
 
 fn describe(error: DecodeErrors) -> DecodeError {
     match error {
-        DecodeErrors::ExhaustedData => DecodeError::Truncated { format: FORMAT },
+        DecodeErrors::ExhaustedData | DecodeErrors::IoErrors(_) => DecodeError::Truncated { format: FORMAT },
+        DecodeErrors::ZeroError => DecodeError::Empty { width: 0, height: 0 },
         other => DecodeError::Malformed { format: FORMAT, reason: format!("{other:?}") },
     }
 }

@@ -9,6 +9,8 @@ mod orientation;
 mod pattern;
 mod quota;
 mod spread;
+#[cfg(test)]
+mod tests;
 
 use crate::{GrayImage, Pyramid};
 use fast::Corner;

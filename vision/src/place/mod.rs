@@ -27,12 +27,16 @@ pub struct PlaceCandidate {
     pub matches: Vec<DescriptorMatch>,
 }
 
-/// How places are indexed. The defaults come from recordings of one room (see the crate's benchmark notes).
+/// How places are indexed.
+///
+/// The defaults were chosen on 7-Scenes RedKitchen, 250 images of 1000 features stored: of 132 queries with a true
+/// neighbour (within 0.3 m and 20 degrees, but over 2 s apart) 88.6 % had one among the first five (1 tree: 82 %, 4 trees:
+/// 81 %, leaves of 200: 83 %). On the 12 of them also matched all against all, that found 83 % and the trees all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlaceConfig {
     /// Trees, at least 1. Each finds matches that others miss and costs its own time and memory. Default 2.
     pub n_trees: usize,
-    /// A leaf is divided when it holds more entries, at least 2. Larger leaves find more and take longer. Default 100.
+    /// A leaf is divided when it holds more entries, at least 2. Larger leaves take longer and hardly find more. Default 50.
     pub max_leaf_size: usize,
     /// Descriptors vote for one another up to this distance, bits. Default 45.
     pub max_distance: u32,
@@ -40,7 +44,7 @@ pub struct PlaceConfig {
 
 impl Default for PlaceConfig {
     fn default() -> Self {
-        Self { n_trees: 2, max_leaf_size: 100, max_distance: 45 }
+        Self { n_trees: 2, max_leaf_size: 50, max_distance: 45 }
     }
 }
 
@@ -318,7 +322,7 @@ mod tests {
         assert!(index.slots.len() < 60, "{} slots", index.slots.len());
         for tree in &index.trees {
             assert!(tree.n_entries() <= 750, "{} entries", tree.n_entries());
-            assert!(tree.n_nodes() < 60, "{} nodes", tree.n_nodes());
+            assert!(tree.n_nodes() < 120, "{} nodes", tree.n_nodes());
         }
     }
 
