@@ -5,7 +5,7 @@
 //! The dataset is a folder with `rgb.txt` and `calib.json`. Everything else (other layouts, the service, evaluation)
 //! is the business of `monoslam`.
 
-use geometry::{Camera, CameraModel, CameraParameters};
+use geometry::{Camera, CameraModel, CameraParameters, Pose};
 use slam::map::{FrameRecord, FrameState};
 use slam::{Clock, Frame, Pipeline, ResumeState, SlamConfig, Threading};
 use std::collections::BTreeMap;
@@ -85,15 +85,17 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let map = pipeline.map();
     let mut text = String::new();
+    for keyframe in map.keyframes() {
+        write_pose(&mut text, keyframe.timestamp_ns, &keyframe.camera_from_world.inverse())?;
+    }
+    std::fs::write(format!("{out}.keyframes"), text)?;
+    let mut text = String::new();
     let (mut n_posed, mut n_backfilled) = (0, 0);
     for record in records.values() {
         let Some(pose) = record.pose else { continue };
         let Some(reference_from_world) = map.camera_from_world(pose.reference) else { continue };
         let world_from_camera = (pose.camera_from_reference * reference_from_world).inverse();
-        let (t, q) = (world_from_camera.translation, world_from_camera.rotation.coords);
-        let seconds = record.timestamp_ns / 1_000_000_000;
-        let nanos = record.timestamp_ns % 1_000_000_000;
-        writeln!(text, "{seconds}.{nanos:09} {} {} {} {} {} {} {}", t.x, t.y, t.z, q.x, q.y, q.z, q.w)?;
+        write_pose(&mut text, record.timestamp_ns, &world_from_camera)?;
         n_posed += 1;
         n_backfilled += usize::from(record.backfilled);
         debug_assert!(record.state != FrameState::Lost);
@@ -108,6 +110,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     map.check()?;
     Ok(())
+}
+
+/// One line of a TUM trajectory.
+fn write_pose(text: &mut String, timestamp_ns: i64, world_from_camera: &Pose) -> std::fmt::Result {
+    let (t, q) = (world_from_camera.translation, world_from_camera.rotation.coords);
+    let (seconds, nanos) = (timestamp_ns / 1_000_000_000, timestamp_ns % 1_000_000_000);
+    writeln!(text, "{seconds}.{nanos:09} {} {} {} {} {} {} {}", t.x, t.y, t.z, q.x, q.y, q.z, q.w)
 }
 
 fn summary(values: &mut [f64]) -> String {

@@ -81,6 +81,9 @@ pub struct InitialisationConfig {
     pub max_runner_up_share: f64,
     /// Least parallax, reached by the widest fiftieth point, degrees. Default 1.0: below it depth is noise.
     pub min_parallax_deg: f64,
+    /// Largest standard deviation of the direction of motion, degrees. Default 2.0: turning and moving sideways look
+    /// alike over a short baseline, and a map begun on a wrong mixture of the two bends.
+    pub max_direction_sigma_deg: f64,
     /// Share of the map's points a view between the two must confirm. Default 0.6.
     pub min_third_view_share: f64,
 }
@@ -100,6 +103,7 @@ impl Default for InitialisationConfig {
             min_inlier_share: 0.7,
             max_runner_up_share: 0.8,
             min_parallax_deg: 1.0,
+            max_direction_sigma_deg: 2.0,
             min_third_view_share: 0.6,
         }
     }

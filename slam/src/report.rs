@@ -36,6 +36,17 @@ pub enum InitialisationWait {
         /// Parallax needed, degrees.
         required_deg: f64,
     },
+    /// The matches do not pin the direction of motion down.
+    #[error(
+        "uncertain motion: its direction is known to {direction_sigma_deg:.1} degrees, {required_deg:.1} needed; move \
+         further sideways"
+    )]
+    UncertainMotion {
+        /// Standard deviation of the direction of motion, degrees.
+        direction_sigma_deg: f64,
+        /// Standard deviation needed, degrees.
+        required_deg: f64,
+    },
     /// Two motions explain the images equally well, or none does.
     #[error("ambiguous motion: {n_agreeing} of {n_matches} matches agree with one motion and {n_runner_up} with another")]
     Ambiguous {

@@ -52,10 +52,10 @@ impl Window {
         let mut fixed: BTreeSet<KeyframeId> =
             ranked.into_iter().take(config.max_fixed_keyframes).map(|(id, _)| id).collect();
 
-        // Two fixed key frames settle position, attitude and scale; the oldest of the window stand in.
-        while fixed.len() < 2 && free.len() > 1 {
-            let oldest = free.first().copied()?;
-            free.remove(&oldest);
+        // A young map is all window: its oldest key frame settles position and attitude, and damping the scale. To fix
+        // a second one would keep the errors of the first two views for good.
+        if fixed.is_empty() {
+            let oldest = free.pop_first()?;
             fixed.insert(oldest);
         }
         Some(Self { free, points, fixed })

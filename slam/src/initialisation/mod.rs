@@ -10,8 +10,8 @@ use crate::bundle::factors::PointReprojectionFactor;
 use crate::config::InitialisationConfig;
 use crate::features::FrameFeatures;
 use crate::report::InitialisationWait;
-use geometry::Pose;
 use geometry::nalgebra::Vector3;
+use geometry::Pose;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
@@ -67,11 +67,6 @@ impl Initialiser {
         attempt
     }
 
-    /// The kept views, oldest first.
-    pub fn views(&self) -> impl Iterator<Item = &View> {
-        self.views.iter()
-    }
-
     /// Tries pairs from the widest baseline to shorter ones.
     fn attempt(&mut self, view: &View) -> Result<InitialPair, InitialisationWait> {
         let mut wait = InitialisationWait::FirstView;
@@ -114,8 +109,13 @@ impl Initialiser {
             return Err(InitialisationWait::TooFewMatches { n_matches, n_required });
         }
         let motion = two_view::solve(&first.features, &second.features, &matches, &self.config, &mut self.rng)?;
-        let pair = refine(first, second, &matches, &motion);
+        let (pair, direction_sigma_deg) = refine(first, second, &matches, &motion);
         let n_agreeing = pair.points.len();
+        if std::env::var("DBG").is_ok() { eprintln!("pair {} {} matches {} agreeing {} parallax {:.2} sigma {:.2}", first.sequence, second.sequence, n_matches, n_agreeing, motion.parallax_deg, direction_sigma_deg); }
+        if direction_sigma_deg > self.config.max_direction_sigma_deg {
+            let required_deg = self.config.max_direction_sigma_deg;
+            return Err(InitialisationWait::UncertainMotion { direction_sigma_deg, required_deg });
+        }
         if n_agreeing < self.config.min_points {
             return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
         }
@@ -146,13 +146,15 @@ fn more_telling(a: InitialisationWait, b: InitialisationWait) -> InitialisationW
         InitialisationWait::TooFewFeatures { .. } => 1,
         InitialisationWait::TooFewMatches { .. } => 2,
         InitialisationWait::TooLittleParallax { .. } => 3,
-        InitialisationWait::Ambiguous { .. } => 4,
+        InitialisationWait::UncertainMotion { .. } => 4,
+        InitialisationWait::Ambiguous { .. } => 5,
     };
     if rank(&b) > rank(&a) { b } else { a }
 }
 
-/// Bundle adjustment of the two views, points that disagree left out, and the median depth as the unit of length.
-fn refine(first: &View, second: &View, matches: &[(usize, usize)], motion: &TwoViewMotion) -> InitialPair {
+/// Bundle adjustment of the two views, points that disagree left out, and the median depth as the unit of length. Also returns
+/// the standard deviation of the direction of motion, degrees.
+fn refine(first: &View, second: &View, matches: &[(usize, usize)], motion: &TwoViewMotion) -> (InitialPair, f64) {
     let factor = |features: &FrameFeatures, feature_idx: usize| PointReprojectionFactor {
         pinhole: features.pinhole,
         observed_px: features.undistorted[feature_idx],
@@ -166,12 +168,11 @@ fn refine(first: &View, second: &View, matches: &[(usize, usize)], motion: &TwoV
             (*position, [factor(&first.features, a), factor(&second.features, b)])
         })
         .collect();
-    let (second_from_first, refined) =
-        bundle::two_view::refine(Pose::identity(), motion.second_from_first, &problem);
+    let refined = bundle::two_view::refine(motion.second_from_first, &problem);
     let mut points: Vec<(usize, usize, Vector3<f64>)> = motion
         .points
         .iter()
-        .zip(refined)
+        .zip(refined.points)
         .filter_map(|((match_idx, _), position)| {
             let (a, b) = matches[*match_idx];
             Some((a, b, position?))
@@ -181,6 +182,8 @@ fn refine(first: &View, second: &View, matches: &[(usize, usize)], motion: &TwoV
     depths.sort_by(f64::total_cmp);
     let unit = depths.get(depths.len() / 2).copied().unwrap_or(1.0);
     points.iter_mut().for_each(|(_, _, position)| *position /= unit);
-    let second_from_first = Pose::new(second_from_first.rotation, second_from_first.translation / unit);
-    InitialPair { first: first.clone(), second: second.clone(), second_from_first, points }
+    let pose = refined.second_from_first;
+    let second_from_first = Pose::new(pose.rotation, pose.translation / unit);
+    let pair = InitialPair { first: first.clone(), second: second.clone(), second_from_first, points };
+    (pair, refined.direction_sigma_deg)
 }

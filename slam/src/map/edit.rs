@@ -8,11 +8,6 @@ use std::sync::Arc;
 use vision::Descriptor;
 
 impl Map {
-    /// The id the next key frame will have.
-    pub(crate) fn next_keyframe_id(&self) -> KeyframeId {
-        KeyframeId::from_index(self.next_keyframe_idx)
-    }
-
     /// Hands out what changed since the last call and begins anew.
     pub(crate) fn take_changes(&mut self) -> MapChanges {
         std::mem::take(&mut self.changes)
@@ -186,7 +181,7 @@ impl Map {
             orphans.into_iter().filter(|id| self.camera_from_world(*id).is_none()).collect();
         if !orphans.is_empty() {
             let removed = Arc::make_mut(&mut self.removed_keyframes);
-            orphans.iter().for_each(|id| drop(removed.remove(id)));
+            removed.retain(|id, _| !orphans.contains(id));
         }
     }
 

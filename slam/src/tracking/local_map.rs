@@ -88,11 +88,6 @@ impl LocalMap {
         }
     }
 
-    /// Key frames of the local map, those that share the most points first.
-    pub fn keyframes(&self) -> &[KeyframeId] {
-        &self.keyframes
-    }
-
     /// Looks for the points of the local map that the frame has not found yet. Returns how many were found.
     pub fn search(
         &mut self,

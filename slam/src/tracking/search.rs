@@ -71,7 +71,6 @@ impl PredictedView {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Found {
     pub feature_idx: usize,
-    pub distance: u32,
 }
 
 /// Looks for a descriptor in a window. Keypoints for which `taken` holds are passed over. With a ratio, a match is
@@ -109,7 +108,7 @@ pub(crate) fn find_in_window(
             return None;
         }
     }
-    Some(Found { feature_idx: best.1, distance: best.0 })
+    Some(Found { feature_idx: best.1 })
 }
 
 /// A point with its place in the view it was matched in before.
@@ -144,7 +143,7 @@ pub(crate) fn search_by_motion<'a>(
         let octaves = octave.saturating_sub(1)..=octave + 1;
         let matched =
             find_in_window(features, descriptor, &pixel, radius, octaves, None, LOOSE_DISTANCE, |idx| points[idx].is_some());
-        if let Some(Found { feature_idx, .. }) = matched {
+        if let Some(Found { feature_idx }) = matched {
             points[feature_idx] = Some(point.id);
             let change = features.keypoints[feature_idx].angle - angle;
             rotation.add(change);
