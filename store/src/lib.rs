@@ -1,1 +1,71 @@
-//! See ARCHITECTURE.md.
+//! Where maps are kept: sessions, key frames, points and trajectories in one SQLite file.
+//!
+//! Start at [`Store`]. It takes and returns the types of `slam` and `geometry`, and nothing outside this crate knows
+//! that SQL is behind it.
+//!
+//! - [`Store::save_update`] writes one [`slam::MapUpdate`] in one transaction, and of it only the rows that changed.
+//! - [`Store::load_session`] gives back what [`slam::Pipeline::resume`] goes on with.
+//! - [`Store::trajectory`], [`Store::points`], [`Store::keyframes`] answer questions about sessions, loaded or not,
+//!   without holding a map in memory. [`Store::check`] says whether everything stored makes sense.
+//!
+//! After the end of the process, or of the machine, at any moment the database is as of its last commit: SQLite's
+//! write-ahead log, one writing connection, and one transaction per update see to that. Which columns hold wall-clock
+//! time is said in the migrations: only `sessions.created_at_ns`. Everything else depends on the updates alone, which
+//! [`Store::digest`] makes comparable.
+//!
+//! Queries are checked when they run, not when they are compiled: the macros would need a database at build time or
+//! a copy of every statement's description in the repository, and could not check the statements here that are made
+//! of parts (many rows at once, optional conditions). Each statement is run by a test instead.
+//!
+//! ```
+//! # let runtime = tokio::runtime::Runtime::new().unwrap();
+//! # runtime.block_on(async {
+//! use geometry::{CameraModel, CameraParameters};
+//! use store::{NewSession, SessionOptions, Store, StoreOptions};
+//!
+//! let folder = tempfile::tempdir().unwrap();
+//! let store = Store::open(folder.path().join("maps.db"), StoreOptions::default()).await?;
+//! let camera = CameraParameters {
+//!     model: CameraModel::Pinhole,
+//!     width: 640,
+//!     height: 480,
+//!     fx: 525.0,
+//!     fy: 525.0,
+//!     cx: 319.5,
+//!     cy: 239.5,
+//!     distortion: vec![],
+//! };
+//! let new = NewSession { id: "kitchen".into(), camera, options: SessionOptions::default(), created_at_ns: 0 };
+//! store.create_session(&new).await?;
+//! assert_eq!(store.list_sessions(None, 10).await?.sessions[0].id, "kitchen");
+//! assert!(store.check().await?.is_empty());
+//! # Ok::<(), store::StoreError>(())
+//! # }).unwrap();
+//! ```
+
+mod blob;
+mod check;
+mod delete;
+mod digest;
+mod error;
+mod keyframes;
+mod load;
+mod number;
+mod open;
+mod points;
+mod pose;
+mod save;
+mod session;
+mod trajectory;
+
+pub use check::Problem;
+pub use digest::{Digest, TableDigest};
+pub use error::StoreError;
+pub use keyframes::{KeyframePage, KeyframeRecord, StoredImage};
+pub use load::LoadedSession;
+pub use number::MAX_SEQUENCE;
+pub use open::{Durability, Store, StoreOptions};
+pub use points::{Bounds, PointPage, PointQuery};
+pub use save::{Committed, KeyframeImage, SessionStatus};
+pub use session::{NewSession, SessionChanges, SessionCounts, SessionOptions, SessionPage, SessionRecord};
+pub use trajectory::{StoredFrame, TrajectoryFilter, TrajectoryKind, TrajectoryPose};

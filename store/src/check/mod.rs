@@ -1,0 +1,155 @@
+//! Whether everything stored makes sense.
+
+mod points;
+mod poses;
+
+use crate::{Store, StoreError};
+use slam::map::KeyframeId;
+use sqlx::{Row, SqliteConnection};
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// Something that is wrong with the database.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Problem {
+    /// The session it concerns; `None` for the whole file.
+    pub session: Option<String>,
+    /// What is wrong, in a plain sentence.
+    pub what: String,
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.session {
+            Some(session) => write!(f, "session {session:?}: {}", self.what),
+            None => f.write_str(&self.what),
+        }
+    }
+}
+
+/// Problems reported per session and for the file: enough to see what happened, and no more memory than that.
+const MAX_PROBLEMS: usize = 100;
+
+/// Collects what is wrong with one session, or the file.
+struct Problems {
+    session: Option<String>,
+    found: Vec<Problem>,
+    n_more: usize,
+}
+
+impl Problems {
+    fn new(session: Option<String>) -> Self {
+        Self { session, found: Vec::new(), n_more: 0 }
+    }
+
+    fn add(&mut self, what: impl fmt::Display) {
+        if self.found.len() < MAX_PROBLEMS {
+            self.found.push(Problem { session: self.session.clone(), what: what.to_string() });
+        } else {
+            self.n_more += 1;
+        }
+    }
+
+    /// Notes an error that says that something is damaged; hands on any other.
+    fn note<T>(&mut self, result: Result<T, StoreError>) -> Result<Option<T>, StoreError> {
+        match result {
+            Ok(value) => Ok(Some(value)),
+            Err(StoreError::Corrupt(what)) => {
+                self.add(what);
+                Ok(None)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    fn finish(mut self, into: &mut Vec<Problem>) {
+        let n_more = self.n_more;
+        if n_more > 0 {
+            self.found.push(Problem { session: self.session, what: format!("{n_more} further problems") });
+        }
+        into.append(&mut self.found);
+    }
+}
+
+impl Store {
+    /// Looks at everything stored and lists what is wrong; an empty list is good news. Answers for the last commit
+    /// before it began.
+    ///
+    /// Checks the file (`integrity_check`, `foreign_key_check`, the R*Tree) and the maps: sessions' cameras and
+    /// counts, poses that are finite with unit quaternions, features that can be read, observations of key frames and
+    /// keypoints that exist, removed key frames that hang on something, time that rises with the frames' numbers.
+    ///
+    /// # Errors
+    /// If the database cannot be read at all.
+    pub async fn check(&self) -> Result<Vec<Problem>, StoreError> {
+        let mut problems = Vec::new();
+        let mut transaction = self.begin_read().await?;
+        check_file(&mut transaction, &mut problems).await?;
+        let sessions = sqlx::query("SELECT number, id FROM sessions WHERE id IS NOT NULL ORDER BY id")
+            .fetch_all(&mut *transaction)
+            .await?;
+        for row in sessions {
+            let mut found = Problems::new(Some(row.try_get(1)?));
+            check_session(&mut transaction, row.try_get(0)?, &mut found).await?;
+            found.finish(&mut problems);
+        }
+        transaction.commit().await?;
+        Ok(problems)
+    }
+}
+
+async fn check_file(
+    connection: &mut SqliteConnection,
+    problems: &mut Vec<Problem>,
+) -> Result<(), StoreError> {
+    let mut found = Problems::new(None);
+    // The argument bounds how many lines are reported.
+    let lines: Vec<String> =
+        sqlx::query_scalar("PRAGMA integrity_check(100)").fetch_all(&mut *connection).await?;
+    lines.iter().filter(|line| *line != "ok").for_each(|line| found.add(line));
+    let dangling = sqlx::query("PRAGMA foreign_key_check").fetch_all(&mut *connection).await?;
+    for row in &dangling {
+        let (table, parent): (String, String) = (row.try_get(0)?, row.try_get(2)?);
+        found.add(format!("a row of {table} refers to one of {parent} that is not there"));
+    }
+    let tree: String = sqlx::query_scalar("SELECT rtreecheck('point_cells')").fetch_one(connection).await?;
+    if tree != "ok" {
+        found.add(tree);
+    }
+    found.finish(problems);
+    Ok(())
+}
+
+/// How many keypoints each key frame has, for whom observations are checked against.
+type KeypointCounts = BTreeMap<KeyframeId, usize>;
+
+async fn check_session(
+    connection: &mut SqliteConnection,
+    session: i64,
+    problems: &mut Problems,
+) -> Result<(), StoreError> {
+    let row = sqlx::query("SELECT * FROM sessions WHERE number = ?")
+        .bind(session)
+        .fetch_one(&mut *connection)
+        .await?;
+    let record = problems.note(crate::session::parse_session(&row))?;
+    let keypoints = poses::check_keyframes(connection, session, problems).await?;
+    poses::check_removed(connection, session, problems).await?;
+    let n_points = points::check_points(connection, session, &keypoints, problems).await?;
+    let (n_frames, last_frame) = poses::check_frames(connection, session, problems).await?;
+
+    let Some((_, record)) = record else { return Ok(()) };
+    problems.note(record.checked_camera())?;
+    let counts = [
+        ("frames", record.counts.n_frames, n_frames),
+        ("key frames", record.counts.n_keyframes, keypoints.len() as u64),
+        ("points", record.counts.n_points, n_points),
+    ];
+    for (what, claimed, counted) in counts.into_iter().filter(|(_, claimed, counted)| claimed != counted) {
+        problems.add(format!("it claims {claimed} {what} but has {counted}"));
+    }
+    if record.last_frame != last_frame {
+        problems.add(format!("it claims {:?} as its last frame but has {last_frame:?}", record.last_frame));
+    }
+    Ok(())
+}

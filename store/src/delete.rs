@@ -1,0 +1,81 @@
+//! Deleting sessions.
+
+use crate::{Store, StoreError};
+use sqlx::SqliteConnection;
+
+/// Rows deleted per transaction: other sessions' commits wait some tens of milliseconds at most.
+const ROWS_PER_STEP: i64 = 5_000;
+
+/// Deletions that take at most the bound number of a session's rows each, dependents first.
+const STEPS: [&str; 6] = [
+    "DELETE FROM frames WHERE session = ?1 AND sequence IN
+         (SELECT sequence FROM frames WHERE session = ?1 LIMIT ?2)",
+    "DELETE FROM point_cells WHERE key IN
+         (SELECT key FROM point_cells WHERE session_min >= ?1 AND session_max <= ?1 LIMIT ?2)",
+    "DELETE FROM points WHERE session = ?1 AND id IN (SELECT id FROM points WHERE session = ?1 LIMIT ?2)",
+    // Pages of blobs are what takes the time here.
+    "DELETE FROM keyframe_images WHERE session = ?1 AND keyframe IN
+         (SELECT keyframe FROM keyframe_images WHERE session = ?1 LIMIT ?2 / 50)",
+    "DELETE FROM keyframe_features WHERE session = ?1 AND keyframe IN
+         (SELECT keyframe FROM keyframe_features WHERE session = ?1 LIMIT ?2 / 50)",
+    "DELETE FROM removed_keyframes WHERE session = ?1 AND id IN
+         (SELECT id FROM removed_keyframes WHERE session = ?1 LIMIT ?2)",
+];
+
+impl Store {
+    /// Deletes a session with everything in it.
+    ///
+    /// The name is free and the session is gone from every list at once; its rows are cleared away in small
+    /// transactions, so that others go on being stored meanwhile. Should that be interrupted, the next
+    /// [`Store::open`] finishes it.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`] if there is none of this name.
+    pub async fn delete_session(&self, id: &str) -> Result<(), StoreError> {
+        let mut transaction = self.begin_write().await?;
+        let number: Option<i64> =
+            sqlx::query_scalar("UPDATE sessions SET id = NULL WHERE id = ? RETURNING number")
+                .bind(id)
+                .fetch_optional(&mut *transaction)
+                .await?;
+        let number = number.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?;
+        transaction.commit().await?;
+        self.clear_session(number).await
+    }
+
+    /// Finishes deletions that were interrupted.
+    pub(crate) async fn clear_deleted_sessions(&self) -> Result<(), StoreError> {
+        let mut reader = self.reader().await?;
+        let numbers: Vec<i64> = sqlx::query_scalar("SELECT number FROM sessions WHERE id IS NULL")
+            .fetch_all(&mut *reader)
+            .await?;
+        drop(reader);
+        for number in numbers {
+            tracing::info!(number, "clearing away a session whose deletion was interrupted");
+            self.clear_session(number).await?;
+        }
+        Ok(())
+    }
+
+    async fn clear_session(&self, number: i64) -> Result<(), StoreError> {
+        for step in STEPS {
+            while self.delete_some(step, number).await? > 0 {}
+        }
+        // The key frames go with the session's row.
+        let mut transaction = self.begin_write().await?;
+        delete_row(&mut transaction, number).await?;
+        Ok(transaction.commit().await?)
+    }
+
+    async fn delete_some(&self, step: &'static str, number: i64) -> Result<u64, StoreError> {
+        let mut transaction = self.begin_write().await?;
+        let deleted = sqlx::query(step).bind(number).bind(ROWS_PER_STEP).execute(&mut *transaction).await?;
+        transaction.commit().await?;
+        Ok(deleted.rows_affected())
+    }
+}
+
+async fn delete_row(connection: &mut SqliteConnection, number: i64) -> Result<(), StoreError> {
+    sqlx::query("DELETE FROM sessions WHERE number = ?").bind(number).execute(connection).await?;
+    Ok(())
+}

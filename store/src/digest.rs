@@ -1,0 +1,134 @@
+//! A fingerprint of everything a session has stored, to compare two runs.
+
+use crate::points::cell::MAX_POINT_ID;
+use crate::session::session_number;
+use crate::{Store, StoreError};
+use futures_util::TryStreamExt;
+use sha2::Digest as _;
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, SqliteConnection, TypeInfo, ValueRef};
+use std::fmt;
+
+/// Fingerprints of a session's tables. Equal for two sessions whose rows are the same, byte for byte, apart from the
+/// sessions' names and the wall-clock time of their creation. Prints as one line per table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Digest(pub Vec<TableDigest>);
+
+/// Fingerprint of a session's rows in one table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TableDigest {
+    /// Name of the table.
+    pub table: &'static str,
+    /// How many rows the session has in it.
+    pub n_rows: u64,
+    /// SHA-256 of the rows' values in the order of their keys.
+    pub sha256: [u8; 32],
+}
+
+impl fmt::Display for Digest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for TableDigest { table, n_rows, sha256 } in &self.0 {
+            write!(f, "{table} {n_rows} ")?;
+            sha256.iter().try_for_each(|byte| write!(f, "{byte:02x}"))?;
+            writeln!(f)?;
+        }
+        Ok(())
+    }
+}
+
+/// Every table with every column but the session's number and name and wall-clock time, ordered by key. Parameter 1
+/// is the session's number, 2 the mask of a point's id in a key.
+const TABLES: [(&str, &str); 8] = [
+    (
+        "sessions",
+        "SELECT camera, options, state, last_sequence, last_timestamp_ns, last_keyframe_id, last_point_id, n_frames,
+         n_keyframes, n_points, n_submaps, metres_per_unit FROM sessions WHERE number = ?1",
+    ),
+    (
+        "keyframes",
+        "SELECT id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, n_keypoints, n_points
+         FROM keyframes WHERE session = ?1 ORDER BY id",
+    ),
+    (
+        "keyframe_features",
+        "SELECT keyframe, features FROM keyframe_features WHERE session = ?1 ORDER BY keyframe",
+    ),
+    (
+        "keyframe_images",
+        "SELECT keyframe, media_type, bytes FROM keyframe_images WHERE session = ?1 ORDER BY keyframe",
+    ),
+    (
+        "removed_keyframes",
+        "SELECT id, anchor, qx, qy, qz, qw, tx, ty, tz FROM removed_keyframes WHERE session = ?1 ORDER BY id",
+    ),
+    (
+        "points",
+        "SELECT id, submap, x, y, z, descriptor, view_x, view_y, view_z, min_distance, max_distance, created_by,
+         n_visible, n_found, n_observations, observations FROM points WHERE session = ?1 ORDER BY id",
+    ),
+    (
+        "point_cells",
+        "SELECT key & ?2, x_min, x_max, y_min, y_max, z_min, z_max FROM point_cells
+         WHERE session_min >= ?1 AND session_max <= ?1 ORDER BY key",
+    ),
+    (
+        "frames",
+        "SELECT sequence, timestamp_ns, state, backfilled, submap, reference, qx, qy, qz, qw, tx, ty, tz
+         FROM frames WHERE session = ?1 ORDER BY sequence",
+    ),
+];
+
+impl Store {
+    /// Fingerprints of everything a session has stored, as of the last commit.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn digest(&self, session: &str) -> Result<Digest, StoreError> {
+        let mut transaction = self.begin_read().await?;
+        let number = session_number(&mut transaction, session).await?;
+        let mut tables = Vec::with_capacity(TABLES.len());
+        for (table, sql) in TABLES {
+            tables.push(digest_table(&mut transaction, table, sql, number).await?);
+        }
+        transaction.commit().await?;
+        Ok(Digest(tables))
+    }
+}
+
+async fn digest_table(
+    connection: &mut SqliteConnection,
+    table: &'static str,
+    sql: &'static str,
+    session: i64,
+) -> Result<TableDigest, StoreError> {
+    let mut hasher = sha2::Sha256::new();
+    let mut n_rows = 0;
+    let mut rows = sqlx::query(sql).bind(session).bind(MAX_POINT_ID as i64).fetch(connection);
+    while let Some(row) = rows.try_next().await? {
+        n_rows += 1;
+        (0..row.len()).try_for_each(|column| hash_value(&mut hasher, &row, column))?;
+    }
+    Ok(TableDigest { table, n_rows, sha256: hasher.finalize().into() })
+}
+
+/// Hashes a value with its type and, where it varies, its length, so that no two rows hash the same by accident.
+fn hash_value(hasher: &mut sha2::Sha256, row: &SqliteRow, column: usize) -> Result<(), StoreError> {
+    let value = row.try_get_raw(column)?;
+    if value.is_null() {
+        hasher.update(b"n");
+        return Ok(());
+    }
+    let type_info = value.type_info();
+    let mut sized = |tag: &[u8], bytes: &[u8]| {
+        hasher.update(tag);
+        hasher.update((bytes.len() as u64).to_le_bytes());
+        hasher.update(bytes);
+    };
+    match type_info.name() {
+        "REAL" => sized(b"r", &row.try_get::<f64, _>(column)?.to_bits().to_le_bytes()),
+        "TEXT" => sized(b"t", row.try_get::<&str, _>(column)?.as_bytes()),
+        "BLOB" => sized(b"b", row.try_get::<&[u8], _>(column)?),
+        _ => sized(b"i", &row.try_get::<i64, _>(column)?.to_le_bytes()),
+    }
+    Ok(())
+}

@@ -1,0 +1,114 @@
+//! What can go wrong with the database, sorted by what the caller can do about it.
+
+use slam::map::MapError;
+
+/// Why the store could not do what it was asked. Each message is a plain sentence.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The database was written by a later version of this program; nothing in it was touched.
+    #[error(
+        "the database has schema version {found}, but this program knows versions up to {supported}: update the program"
+    )]
+    NewerSchema {
+        /// Version of the file.
+        found: i64,
+        /// Highest version known here.
+        supported: i64,
+    },
+    /// The file is a database of something else, or no database at all.
+    #[error("{path} is not a map database")]
+    NotAStore {
+        /// The file.
+        path: String,
+    },
+    /// There is no such session.
+    #[error("there is no session {id:?}")]
+    SessionNotFound {
+        /// The name asked for.
+        id: String,
+    },
+    /// The name is taken.
+    #[error("there is already a session {id:?}")]
+    SessionExists {
+        /// The name asked for.
+        id: String,
+    },
+    /// A number does not fit the database.
+    #[error("{what} {value} is too large to be stored")]
+    OutOfRange {
+        /// Which number, such as `sequence`.
+        what: &'static str,
+        /// Its value.
+        value: u64,
+    },
+    /// A number of the map is not finite; nothing of the update was stored.
+    #[error("{0} has a number that is not finite")]
+    NotFinite(String),
+    /// The stored key frames were measured with other settings than those they should be taken up with.
+    #[error("the session's key frames were made with other settings: {0}")]
+    OtherSettings(String),
+    /// The disk, or the room allowed to the database, is used up. The last commit is intact and the update can be
+    /// tried again.
+    #[error("there is no room left for the database; nothing of the last update was stored")]
+    DiskFull(#[source] sqlx::Error),
+    /// Reading or writing the file failed. The last commit is intact.
+    #[error("reading or writing the database failed")]
+    Io(#[source] sqlx::Error),
+    /// Somebody else kept the database locked for longer than the time allowed.
+    #[error("the database is in use by another program")]
+    Busy(#[source] sqlx::Error),
+    /// What is stored cannot be understood.
+    #[error("the database is damaged: {0}")]
+    Corrupt(String),
+    /// A stored map contradicts itself.
+    #[error(transparent)]
+    Map(#[from] MapError),
+    /// The update contradicts what is stored; nothing of it was stored.
+    #[error("the update contradicts the stored map")]
+    Inconsistent(#[source] sqlx::Error),
+    /// The migrations did not run.
+    #[error("the database could not be brought up to date")]
+    Migrate(#[from] sqlx::migrate::MigrateError),
+    /// Anything else the database reports.
+    #[error("the database failed")]
+    Database(#[source] sqlx::Error),
+}
+
+/// Primary result codes of SQLite, the low byte of an extended one <https://www.sqlite.org/rescode.html>.
+mod code {
+    pub const BUSY: i32 = 5;
+    pub const IOERR: i32 = 10;
+    pub const CORRUPT: i32 = 11;
+    pub const FULL: i32 = 13;
+    pub const CANTOPEN: i32 = 14;
+    pub const CONSTRAINT: i32 = 19;
+    pub const NOTADB: i32 = 26;
+}
+
+impl From<sqlx::Error> for StoreError {
+    fn from(error: sqlx::Error) -> Self {
+        match primary_code(&error) {
+            Some(code::FULL) => Self::DiskFull(error),
+            Some(code::IOERR | code::CANTOPEN) => Self::Io(error),
+            Some(code::BUSY) => Self::Busy(error),
+            Some(code::CORRUPT | code::NOTADB) => Self::Corrupt(error.to_string()),
+            Some(code::CONSTRAINT) => Self::Inconsistent(error),
+            _ => match error {
+                sqlx::Error::Io(_) => Self::Io(error),
+                sqlx::Error::ColumnDecode { .. } | sqlx::Error::Decode(_) => Self::Corrupt(error.to_string()),
+                _ => Self::Database(error),
+            },
+        }
+    }
+}
+
+/// SQLite's result code without its extension.
+pub(crate) fn primary_code(error: &sqlx::Error) -> Option<i32> {
+    let extended: i32 = error.as_database_error()?.code()?.parse().ok()?;
+    Some(extended & 0xff)
+}
+
+/// Whether the error says that the file is no database.
+pub(crate) fn is_not_a_database(error: &sqlx::Error) -> bool {
+    primary_code(error) == Some(code::NOTADB)
+}

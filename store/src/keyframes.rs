@@ -1,0 +1,143 @@
+//! Key frames without their features, and their images.
+
+use crate::number::{from_column, from_column_u32, keyframe_column, keyframe_id, submap_id};
+use crate::pose::read_pose;
+use crate::session::session_number;
+use crate::{Store, StoreError};
+use geometry::Pose;
+use slam::map::{KeyframeId, SubmapId};
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+/// A stored key frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KeyframeRecord {
+    /// Identity within the session.
+    pub id: KeyframeId,
+    /// The submap whose frame of reference the pose is in.
+    pub submap: SubmapId,
+    /// The client's number of the frame.
+    pub sequence: u64,
+    /// The client's time of the frame, nanoseconds.
+    pub timestamp_ns: i64,
+    /// Pose; lengths in map units.
+    pub camera_from_world: Pose,
+    /// The key frame it hangs on in the spanning tree.
+    pub parent: Option<KeyframeId>,
+    /// Keypoints measured in it.
+    pub n_keypoints: u32,
+    /// Keypoints that see a point.
+    pub n_points: u32,
+    /// Whether its image was kept.
+    pub has_image: bool,
+}
+
+/// Some key frames in the order of their ids.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct KeyframePage {
+    /// The key frames.
+    pub keyframes: Vec<KeyframeRecord>,
+    /// Pass this as `after` for the next page; `None` on the last one.
+    pub next: Option<KeyframeId>,
+}
+
+/// The image of a key frame as it was received.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StoredImage {
+    /// What the bytes are, such as `image/png`.
+    pub media_type: String,
+    /// The encoded image.
+    pub bytes: Vec<u8>,
+}
+
+const SELECT_KEYFRAMES: &str = "SELECT id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, \
+     n_keypoints, n_points, \
+     EXISTS (SELECT 1 FROM keyframe_images i WHERE i.session = k.session AND i.keyframe = k.id) \
+     FROM keyframes k WHERE session = ?1 AND id BETWEEN ?2 AND ?3 ORDER BY id LIMIT ?4";
+
+impl Store {
+    /// Up to `page_size` key frames with ids above the given one.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn keyframes(
+        &self,
+        session: &str,
+        after: Option<KeyframeId>,
+        page_size: u32,
+    ) -> Result<KeyframePage, StoreError> {
+        let first = after.map(keyframe_column).transpose()?.unwrap_or(0).saturating_add(1);
+        let mut keyframes = self.select_keyframes(session, first, i64::MAX, i64::from(page_size) + 1).await?;
+        let has_more = keyframes.len() > page_size as usize;
+        keyframes.truncate(page_size as usize);
+        let next = keyframes.last().filter(|_| has_more).map(|last| last.id);
+        Ok(KeyframePage { keyframes, next })
+    }
+
+    /// One key frame; `None` if the session has none with this id, or no longer.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn keyframe(
+        &self,
+        session: &str,
+        id: KeyframeId,
+    ) -> Result<Option<KeyframeRecord>, StoreError> {
+        let id = keyframe_column(id)?;
+        Ok(self.select_keyframes(session, id, id, 1).await?.pop())
+    }
+
+    /// The image of a key frame; `None` if it was not kept.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn keyframe_image(
+        &self,
+        session: &str,
+        id: KeyframeId,
+    ) -> Result<Option<StoredImage>, StoreError> {
+        let mut reader = self.reader().await?;
+        let number = session_number(&mut reader, session).await?;
+        let row =
+            sqlx::query("SELECT media_type, bytes FROM keyframe_images WHERE session = ? AND keyframe = ?")
+                .bind(number)
+                .bind(keyframe_column(id)?)
+                .fetch_optional(&mut *reader)
+                .await?;
+        row.map(|row| Ok(StoredImage { media_type: row.try_get(0)?, bytes: row.try_get(1)? })).transpose()
+    }
+
+    async fn select_keyframes(
+        &self,
+        session: &str,
+        first: i64,
+        last: i64,
+        limit: i64,
+    ) -> Result<Vec<KeyframeRecord>, StoreError> {
+        let mut reader = self.reader().await?;
+        let number = session_number(&mut reader, session).await?;
+        let rows = sqlx::query(SELECT_KEYFRAMES)
+            .bind(number)
+            .bind(first)
+            .bind(last)
+            .bind(limit)
+            .fetch_all(&mut *reader)
+            .await?;
+        rows.iter().map(parse_keyframe).collect()
+    }
+}
+
+fn parse_keyframe(row: &SqliteRow) -> Result<KeyframeRecord, StoreError> {
+    let parent: Option<i64> = row.try_get(11)?;
+    Ok(KeyframeRecord {
+        id: keyframe_id(row.try_get(0)?)?,
+        submap: submap_id(row.try_get(1)?)?,
+        sequence: from_column("a sequence", row.try_get(2)?)?,
+        timestamp_ns: row.try_get(3)?,
+        camera_from_world: read_pose(row, 4)?,
+        parent: parent.map(keyframe_id).transpose()?,
+        n_keypoints: from_column_u32("n_keypoints", row.try_get(12)?)?,
+        n_points: from_column_u32("n_points", row.try_get(13)?)?,
+        has_image: row.try_get(14)?,
+    })
+}

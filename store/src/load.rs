@@ -1,0 +1,199 @@
+//! Loading a session's map, to take it up again.
+
+use crate::blob::{FeatureSettings, decode_features};
+use crate::number::{from_column, keyframe_id, submap_id};
+use crate::points::{POINT_COLUMNS, parse_point};
+use crate::pose::{read_pose, read_removed};
+use crate::session::parse_session;
+use crate::{SessionRecord, Store, StoreError};
+use geometry::Camera;
+use slam::map::{MapParts, PointLandmark};
+use slam::{Keyframe, ResumeState, SlamConfig};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{AssertSqlSafe, Row, SqliteConnection};
+use std::sync::Arc;
+
+/// Key frames fetched at a time, some 3 MB of features.
+const KEYFRAMES_PER_STEP: i64 = 64;
+
+/// Points fetched at a time.
+const POINTS_PER_STEP: i64 = 4096;
+
+/// A session with what its pipeline is taken up with.
+#[derive(Clone, Debug)]
+pub struct LoadedSession {
+    /// The session.
+    pub record: SessionRecord,
+    /// Its map and its last frame.
+    pub resume: ResumeState,
+}
+
+impl Store {
+    /// Reads a session with its whole map, as of the last commit.
+    ///
+    /// `config` is what the session will run with. Keypoints are stored in pixels of the working camera, so it must
+    /// give the same working camera and pyramid as when they were made.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`], [`StoreError::OtherSettings`] if the configuration does not fit, and
+    /// [`StoreError::Corrupt`] if a row cannot be understood.
+    pub async fn load_session(&self, id: &str, config: &SlamConfig) -> Result<LoadedSession, StoreError> {
+        let mut transaction = self.begin_read().await?;
+        let row = sqlx::query("SELECT * FROM sessions WHERE id = ?")
+            .bind(id)
+            .fetch_optional(&mut *transaction)
+            .await?;
+        let row = row.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?;
+        let (number, record) = parse_session(&row)?;
+        let working_camera = config.working_camera(&record.checked_camera()?);
+        let settings = FeatureSettings { pinhole: working_camera.pinhole(), pyramid: config.pyramid() };
+
+        let keyframes = read_keyframes(&mut transaction, number, Arc::new(working_camera), settings).await?;
+        let points = read_points(&mut transaction, number).await?;
+        let removed_keyframes = read_removed(&mut transaction, number).await?;
+        transaction.commit().await?;
+
+        let (keyframes, points) = blocking(move || enter_observations(keyframes, points)).await?;
+        let map = MapParts {
+            keyframes,
+            points,
+            removed_keyframes,
+            last_keyframe_id: from_column("last_keyframe_id", row.try_get("last_keyframe_id")?)?,
+            last_point_id: from_column("last_point_id", row.try_get("last_point_id")?)?,
+        };
+        let resume = ResumeState { map, last_frame: record.last_frame };
+        Ok(LoadedSession { record, resume })
+    }
+}
+
+/// Runs work that takes longer than a task on the runtime may.
+pub(crate) async fn blocking<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
+) -> Result<T, StoreError> {
+    match tokio::task::spawn_blocking(work).await {
+        Ok(result) => result,
+        Err(error) => match error.try_into_panic() {
+            Ok(panic) => std::panic::resume_unwind(panic),
+            Err(_) => Err(StoreError::Database(sqlx::Error::WorkerCrashed)),
+        },
+    }
+}
+
+async fn read_keyframes(
+    connection: &mut SqliteConnection,
+    session: i64,
+    working_camera: Arc<Camera>,
+    settings: FeatureSettings,
+) -> Result<Vec<Keyframe>, StoreError> {
+    let mut keyframes: Vec<Keyframe> = Vec::new();
+    loop {
+        let after = keyframes.last().map_or(0, |last| last.id.get() as i64);
+        let rows = sqlx::query(
+            "SELECT k.id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, features
+             FROM keyframes k LEFT JOIN keyframe_features f ON f.session = k.session AND f.keyframe = k.id
+             WHERE k.session = ? AND k.id > ? ORDER BY k.id LIMIT ?",
+        )
+        .bind(session)
+        .bind(after)
+        .bind(KEYFRAMES_PER_STEP)
+        .fetch_all(&mut *connection)
+        .await?;
+        if rows.is_empty() {
+            return Ok(keyframes);
+        }
+        let camera = Arc::clone(&working_camera);
+        let parsed = blocking(move || {
+            rows.iter().map(|row| parse_keyframe(row, &camera, &settings)).collect::<Result<Vec<_>, _>>()
+        });
+        keyframes.extend(parsed.await?);
+    }
+}
+
+/// A key frame that sees nothing yet.
+fn parse_keyframe(
+    row: &SqliteRow,
+    camera: &Camera,
+    settings: &FeatureSettings,
+) -> Result<Keyframe, StoreError> {
+    let id = keyframe_id(row.try_get(0)?)?;
+    let corrupt = |what: &dyn std::fmt::Display| StoreError::Corrupt(format!("key frame {id}: {what}"));
+    let blob: Option<&[u8]> = row.try_get(12)?;
+    let blob = blob.ok_or_else(|| corrupt(&"it has no features"))?;
+    let features = decode_features(blob, camera, settings).map_err(|error| corrupt(&error))?;
+    let features = features.map_err(|made_with| StoreError::OtherSettings(describe(&made_with, settings)))?;
+    let parent: Option<i64> = row.try_get(11)?;
+    Ok(Keyframe::from_parts(
+        id,
+        submap_id(row.try_get(1)?)?,
+        from_column("a sequence", row.try_get(2)?)?,
+        row.try_get(3)?,
+        read_pose(row, 4)?,
+        Arc::new(features),
+        parent.map(keyframe_id).transpose()?,
+    ))
+}
+
+/// In which way the settings differ.
+fn describe(made_with: &FeatureSettings, expected: &FeatureSettings) -> String {
+    if made_with.pyramid == expected.pyramid {
+        let (then, now) = (made_with.pinhole.fx, expected.pinhole.fx);
+        return format!("a working image of focal length {then:.2} px, now {now:.2} px");
+    }
+    let (then, now) = (made_with.pyramid, expected.pyramid);
+    format!(
+        "{} pyramid levels of ratio {:.3}, now {} of {:.3}",
+        then.n_levels, then.scale_factor, now.n_levels, now.scale_factor
+    )
+}
+
+async fn read_points(
+    connection: &mut SqliteConnection,
+    session: i64,
+) -> Result<Vec<PointLandmark>, StoreError> {
+    let sql = format!("SELECT {POINT_COLUMNS} FROM points WHERE session = ? AND id > ? ORDER BY id LIMIT ?");
+    let mut points: Vec<PointLandmark> = Vec::new();
+    loop {
+        let after = points.last().map_or(0, |last| last.id.get() as i64);
+        let rows = sqlx::query(AssertSqlSafe(sql.as_str()))
+            .bind(session)
+            .bind(after)
+            .bind(POINTS_PER_STEP)
+            .fetch_all(&mut *connection)
+            .await?;
+        if rows.is_empty() {
+            return Ok(points);
+        }
+        points.extend(blocking(move || rows.iter().map(parse_point).collect::<Result<Vec<_>, _>>()).await?);
+    }
+}
+
+/// Tells the key frames, which are in the order of their ids, what they see.
+fn enter_observations(
+    mut keyframes: Vec<Keyframe>,
+    points: Vec<PointLandmark>,
+) -> Result<(Vec<Keyframe>, Vec<PointLandmark>), StoreError> {
+    for point in &points {
+        for seen in &point.observations {
+            let slot = keyframes
+                .binary_search_by_key(&seen.keyframe, |keyframe| keyframe.id)
+                .ok()
+                .and_then(|position| keyframes[position].points.get_mut(seen.feature_idx as usize));
+            match slot {
+                Some(slot @ None) => *slot = Some(point.id),
+                Some(Some(other)) => {
+                    return Err(StoreError::Corrupt(format!(
+                        "points {other} and {} claim the same keypoint of key frame {}",
+                        point.id, seen.keyframe
+                    )));
+                }
+                None => {
+                    return Err(StoreError::Corrupt(format!(
+                        "point {} claims keypoint {} of key frame {}, which is not there",
+                        point.id, seen.feature_idx, seen.keyframe
+                    )));
+                }
+            }
+        }
+    }
+    Ok((keyframes, points))
+}

@@ -1,0 +1,218 @@
+//! Opening the database: settings of the connections, and the schema's version.
+
+use crate::StoreError;
+use crate::error::is_not_a_database;
+use sqlx::pool::PoolConnection;
+use sqlx::sqlite::{
+    SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
+};
+use sqlx::{ConnectOptions, Connection, Sqlite, SqliteConnection, Transaction};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// The migrations, in the order they are run.
+static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../migrations");
+
+/// What a commit outlives.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Durability {
+    /// The end of the process at any moment, and of the machine: each commit waits until the disk has it.
+    #[default]
+    PowerLoss,
+    /// The end of the process at any moment. When the machine stops, the last commits may be lost; the database stays
+    /// whole all the same. Spares slow disks.
+    ProcessEnd,
+}
+
+/// How the database is used.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StoreOptions {
+    /// What a commit outlives. Default power loss: `durable_sequence` is a promise to the client, and waiting for
+    /// the disk happens on the writer's thread, where tracking does not notice it.
+    pub durability: Durability,
+    /// How long to wait for a lock that another program holds. Default 5 s: a backup or an inspecting shell is let
+    /// through, a second server is not waited for.
+    pub busy_timeout: Duration,
+    /// Connections that read at the same time. Default 4: one per core of a small server, each holds some megabytes.
+    pub n_readers: u32,
+    /// Room the database may take, bytes; a commit beyond it fails with [`StoreError::DiskFull`]. Default no limit but
+    /// the disk's.
+    pub max_bytes: Option<u64>,
+}
+
+impl Default for StoreOptions {
+    fn default() -> Self {
+        Self {
+            durability: Durability::default(),
+            busy_timeout: Duration::from_secs(5),
+            n_readers: 4,
+            max_bytes: None,
+        }
+    }
+}
+
+/// The database. Cheap to clone; clones share the connections.
+///
+/// One connection writes, in the order of the calls; a few read beside it, each from the last commit before its
+/// question began.
+#[derive(Clone, Debug)]
+pub struct Store {
+    writer: SqlitePool,
+    readers: SqlitePool,
+    path: PathBuf,
+}
+
+/// Bytes in a page of the file. Twice SQLite's default: a key frame's features fill six of them.
+const PAGE_BYTES: u32 = 8192;
+
+/// Pages after which the log is folded into the file, 8 MB: a dozen key frames and what they move.
+const CHECKPOINT_PAGES: u32 = 1000;
+
+/// The log is cut back to this after a long reader made it grow, bytes.
+const MAX_IDLE_LOG_BYTES: u32 = 64 << 20;
+
+/// A writer that waits longer than this for its turn reports that the database is busy.
+const WRITER_TURN_TIMEOUT: Duration = Duration::from_secs(120);
+
+impl Store {
+    /// Opens a database and brings its schema up to date; makes it if there is none.
+    ///
+    /// Rows of sessions whose deletion was interrupted are cleared away.
+    ///
+    /// # Errors
+    /// [`StoreError::NewerSchema`] if a later version of this program wrote it, and [`StoreError::NotAStore`] if it
+    /// is something else; neither is touched.
+    pub async fn open(path: impl AsRef<Path>, options: StoreOptions) -> Result<Self, StoreError> {
+        let path = path.as_ref().to_path_buf();
+        if path.exists() {
+            refuse_unknown_schema(&path, &options).await?;
+        }
+        let writer = SqlitePoolOptions::new()
+            .max_connections(1)
+            .acquire_timeout(WRITER_TURN_TIMEOUT)
+            .idle_timeout(None::<Duration>)
+            .max_lifetime(None::<Duration>)
+            .connect_with(writing(&path, &options))
+            .await?;
+        MIGRATIONS.run(&writer).await.map_err(migration_error)?;
+        let readers = SqlitePoolOptions::new()
+            .max_connections(options.n_readers.max(1))
+            .max_lifetime(None::<Duration>)
+            .connect_lazy_with(reading(&path, &options));
+        let store = Self { writer, readers, path };
+        store.clear_deleted_sessions().await?;
+        Ok(store)
+    }
+
+    /// Folds the log into the database file.
+    pub async fn checkpoint(&self) -> Result<(), StoreError> {
+        let mut writer = self.writer.acquire().await?;
+        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut *writer).await?;
+        Ok(())
+    }
+
+    /// Ends every connection after what it is doing; the log is folded into the file. Further calls fail.
+    pub async fn close(&self) -> Result<(), StoreError> {
+        self.readers.close().await;
+        let checkpointed = self.checkpoint().await;
+        self.writer.close().await;
+        checkpointed
+    }
+
+    /// The database file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Version of the schema this program writes.
+    pub fn schema_version() -> i64 {
+        MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
+    }
+
+    /// Begins a transaction that may write; undone unless committed. The lock is taken at once, so that it cannot
+    /// fail half-way for want of it.
+    pub(crate) async fn begin_write(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
+        Ok(self.writer.begin_with("BEGIN IMMEDIATE").await?)
+    }
+
+    /// A connection that reads.
+    pub(crate) async fn reader(&self) -> Result<PoolConnection<Sqlite>, StoreError> {
+        Ok(self.readers.acquire().await?)
+    }
+
+    /// Begins a transaction in which every question is answered from the same commit. Keep it short: the log cannot
+    /// be folded into the file while it lasts.
+    pub(crate) async fn begin_read(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
+        Ok(self.readers.begin().await?)
+    }
+}
+
+fn writing(path: &Path, options: &StoreOptions) -> SqliteConnectOptions {
+    let synchronous = match options.durability {
+        // In WAL mode FULL waits for the log at each commit; NORMAL only when the log is folded into the file.
+        Durability::PowerLoss => SqliteSynchronous::Full,
+        Durability::ProcessEnd => SqliteSynchronous::Normal,
+    };
+    let base = SqliteConnectOptions::new()
+        .filename(path)
+        .create_if_missing(true)
+        .page_size(PAGE_BYTES)
+        .journal_mode(SqliteJournalMode::Wal)
+        .synchronous(synchronous)
+        .foreign_keys(true)
+        .busy_timeout(options.busy_timeout)
+        .pragma("wal_autocheckpoint", CHECKPOINT_PAGES.to_string())
+        .pragma("journal_size_limit", MAX_IDLE_LOG_BYTES.to_string());
+    let base = match options.max_bytes {
+        Some(max_bytes) => {
+            base.pragma("max_page_count", (max_bytes / u64::from(PAGE_BYTES)).max(1).to_string())
+        }
+        None => base,
+    };
+    quiet(base)
+}
+
+fn reading(path: &Path, options: &StoreOptions) -> SqliteConnectOptions {
+    quiet(SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(options.busy_timeout))
+}
+
+/// Statements are not worth a log line each; the callers log what they do.
+fn quiet(options: SqliteConnectOptions) -> SqliteConnectOptions {
+    options.disable_statement_logging()
+}
+
+/// Looks at the schema's version before anything is written.
+async fn refuse_unknown_schema(path: &Path, options: &StoreOptions) -> Result<(), StoreError> {
+    let not_a_store = || StoreError::NotAStore { path: path.display().to_string() };
+    let mut connection = match SqliteConnection::connect_with(&reading(path, options)).await {
+        Ok(connection) => connection,
+        Err(error) if is_not_a_database(&error) => return Err(not_a_store()),
+        Err(error) => return Err(error.into()),
+    };
+    let tables: Vec<String> = match sqlx::query_scalar("SELECT name FROM sqlite_schema WHERE type = 'table'")
+        .fetch_all(&mut connection)
+        .await
+    {
+        Ok(tables) => tables,
+        Err(error) if is_not_a_database(&error) => return Err(not_a_store()),
+        Err(error) => return Err(error.into()),
+    };
+    if !tables.iter().any(|name| name == "_sqlx_migrations") {
+        // A crash before the first migration leaves an empty file, which is as good as none.
+        return if tables.is_empty() { Ok(()) } else { Err(not_a_store()) };
+    }
+    let found: Option<i64> =
+        sqlx::query_scalar("SELECT max(version) FROM _sqlx_migrations").fetch_one(&mut connection).await?;
+    connection.close().await?;
+    let (found, supported) = (found.unwrap_or(0), Store::schema_version());
+    if found > supported { Err(StoreError::NewerSchema { found, supported }) } else { Ok(()) }
+}
+
+/// A full disk while migrating is a full disk.
+fn migration_error(error: sqlx::migrate::MigrateError) -> StoreError {
+    match error {
+        sqlx::migrate::MigrateError::Execute(error)
+        | sqlx::migrate::MigrateError::ExecuteMigration(error, _) => StoreError::from(error),
+        other => other.into(),
+    }
+}

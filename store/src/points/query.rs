@@ -1,0 +1,239 @@
+//! Which points are where: pages and streams, found through the R*Tree.
+
+use super::cell::{MAX_POINT_ID, cell_key, point_of_key};
+use super::{POINT_COLUMNS, parse_point};
+use crate::session::session_number;
+use crate::{Store, StoreError};
+use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
+use nalgebra::Vector3;
+use slam::map::{PointId, PointLandmark, SubmapId};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{QueryBuilder, Row, Sqlite, SqliteConnection};
+
+/// A box with sides along the axes, its faces included; map units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// Least coordinates.
+    pub min: Vector3<f64>,
+    /// Greatest coordinates.
+    pub max: Vector3<f64>,
+}
+
+/// Which points are wanted; every condition given must hold. Bounds that are not finite numbers hold for none.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PointQuery {
+    /// Points in this box.
+    pub bounds: Option<Bounds>,
+    /// Points at most this far from this place, map units.
+    pub near: Option<(Vector3<f64>, f64)>,
+    /// Points seen by at least so many key frames.
+    pub min_observations: u32,
+    /// Points in this submap's frame of reference.
+    pub submap: Option<SubmapId>,
+}
+
+/// Some points in the order of their ids.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PointPage {
+    /// The points.
+    pub points: Vec<PointLandmark>,
+    /// Pass this as `after` for the next page; `None` on the last one.
+    pub next: Option<PointId>,
+}
+
+/// Points read at a time by a stream: a statement takes about a millisecond.
+const POINTS_PER_STEP: usize = 512;
+
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+impl PointQuery {
+    /// The smallest box all wanted points are in; `None` if they can be anywhere.
+    fn region(&self) -> Option<Bounds> {
+        let ball = self.near.map(|(centre, radius)| Bounds {
+            min: centre - Vector3::repeat(radius),
+            max: centre + Vector3::repeat(radius),
+        });
+        match (self.bounds, ball) {
+            (Some(a), Some(b)) => Some(Bounds { min: a.min.sup(&b.min), max: a.max.inf(&b.max) }),
+            (a, b) => a.or(b),
+        }
+    }
+
+    /// Adds the conditions on a point's row.
+    fn push_conditions(&self, sql: &mut QueryBuilder<Sqlite>) {
+        if self.min_observations > 0 {
+            sql.push(" AND n_observations >= ").push_bind(self.min_observations);
+        }
+        if let Some(submap) = self.submap {
+            sql.push(" AND submap = ").push_bind(submap.0);
+        }
+        if let Some(Bounds { min, max }) = self.bounds {
+            for (axis, (low, high)) in AXES.into_iter().zip(min.iter().zip(&max)) {
+                sql.push(" AND ").push(axis).push(" BETWEEN ").push_bind(*low).push(" AND ").push_bind(*high);
+            }
+        }
+        if let Some((centre, radius)) = self.near {
+            let mut separator = " AND (";
+            for (axis, place) in AXES.into_iter().zip(centre.iter()) {
+                sql.push(separator).push("(").push(axis).push(" - ").push_bind(*place);
+                sql.push(") * (").push(axis).push(" - ").push_bind(*place).push(")");
+                separator = " + ";
+            }
+            sql.push(") <= ").push_bind(radius * radius).push(" AND ").push_bind(radius).push(" >= 0");
+        }
+    }
+}
+
+/// Adds a question to the R*Tree: the keys of a session's points after one whose cells meet a box.
+fn push_cell_keys(sql: &mut QueryBuilder<Sqlite>, session: i64, after: i64, region: &Bounds) {
+    sql.push("SELECT key FROM point_cells WHERE session_min >= ").push_bind(session);
+    sql.push(" AND session_max <= ").push_bind(session);
+    for (axis, (low, high)) in AXES.into_iter().zip(region.min.iter().zip(&region.max)) {
+        sql.push(" AND ").push(axis).push("_max >= ").push_bind(*low);
+        sql.push(" AND ").push(axis).push("_min <= ").push_bind(*high);
+    }
+    sql.push(" AND key > ").push_bind(cell_key(session, after));
+}
+
+impl Store {
+    /// Up to `page_size` of the wanted points with ids above the given one.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn points_page(
+        &self,
+        session: &str,
+        query: &PointQuery,
+        after: Option<PointId>,
+        page_size: u32,
+    ) -> Result<PointPage, StoreError> {
+        let mut reader = self.reader().await?;
+        let number = session_number(&mut reader, session).await?;
+        let after = after.map_or(0, |id| id.get().min(MAX_POINT_ID) as i64);
+        let mut points = select_points(&mut reader, number, query, after, page_size as usize + 1).await?;
+        let has_more = points.len() > page_size as usize;
+        points.truncate(page_size as usize);
+        let next = points.last().filter(|_| has_more).map(|last| last.id);
+        Ok(PointPage { points, next })
+    }
+
+    /// Every wanted point in the order of their ids.
+    ///
+    /// Reads as the stream goes on and holds nothing in between but, for a query with a place, the ids of the
+    /// candidates. Each point is from the last commit when it is read.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`], before the stream begins.
+    pub async fn points(
+        &self,
+        session: &str,
+        query: PointQuery,
+    ) -> Result<BoxStream<'static, Result<PointLandmark, StoreError>>, StoreError> {
+        let mut reader = self.reader().await?;
+        let number = session_number(&mut reader, session).await?;
+        let candidates = match query.region() {
+            Some(region) => Some(select_candidates(&mut reader, number, &region).await?.into_iter()),
+            None => None,
+        };
+        drop(reader);
+        let cursor = Cursor { store: self.clone(), session: number, query, after: 0, candidates };
+        let steps = stream::try_unfold(cursor, |mut cursor| async move {
+            let step = cursor.step().await?;
+            Ok::<_, StoreError>(step.map(|points| (stream::iter(points).map(Ok::<_, StoreError>), cursor)))
+        });
+        Ok(steps.try_flatten().boxed())
+    }
+}
+
+/// How far a stream of points has been read.
+struct Cursor {
+    store: Store,
+    session: i64,
+    query: PointQuery,
+    /// Last id read, where there are no candidates.
+    after: i64,
+    /// Ids not yet looked at; `None` if every point is a candidate.
+    candidates: Option<std::vec::IntoIter<i64>>,
+}
+
+impl Cursor {
+    /// The next points, possibly none of those looked at; `None` at the end.
+    async fn step(&mut self) -> Result<Option<Vec<PointLandmark>>, StoreError> {
+        let mut reader = self.store.reader().await?;
+        match &mut self.candidates {
+            Some(candidates) => {
+                let ids: Vec<i64> = candidates.by_ref().take(POINTS_PER_STEP).collect();
+                if ids.is_empty() {
+                    return Ok(None);
+                }
+                select_points_of(&mut reader, self.session, &self.query, &ids).await.map(Some)
+            }
+            None => {
+                let query = self.query;
+                let points =
+                    select_points(&mut reader, self.session, &query, self.after, POINTS_PER_STEP).await?;
+                let Some(last) = points.last() else { return Ok(None) };
+                self.after = last.id.get() as i64;
+                Ok(Some(points))
+            }
+        }
+    }
+}
+
+fn select_from_points(session: i64) -> QueryBuilder<Sqlite> {
+    let mut sql = QueryBuilder::new("SELECT ");
+    sql.push(POINT_COLUMNS).push(" FROM points WHERE session = ").push_bind(session);
+    sql
+}
+
+async fn select_points(
+    connection: &mut SqliteConnection,
+    session: i64,
+    query: &PointQuery,
+    after: i64,
+    limit: usize,
+) -> Result<Vec<PointLandmark>, StoreError> {
+    let mut sql = select_from_points(session);
+    sql.push(" AND id > ").push_bind(after);
+    if let Some(region) = query.region() {
+        sql.push(" AND id IN (SELECT key & ").push_bind(MAX_POINT_ID as i64).push(" FROM (");
+        push_cell_keys(&mut sql, session, after, &region);
+        sql.push("))");
+    }
+    query.push_conditions(&mut sql);
+    sql.push(" ORDER BY id LIMIT ").push_bind(limit as i64);
+    parse_points(&sql.build().fetch_all(connection).await?)
+}
+
+async fn select_points_of(
+    connection: &mut SqliteConnection,
+    session: i64,
+    query: &PointQuery,
+    ids: &[i64],
+) -> Result<Vec<PointLandmark>, StoreError> {
+    let mut sql = select_from_points(session);
+    let list = crate::save::id_list(ids.iter().map(|id| *id as u64));
+    sql.push(" AND id IN (SELECT value FROM json_each(").push_bind(list).push("))");
+    query.push_conditions(&mut sql);
+    sql.push(" ORDER BY id");
+    parse_points(&sql.build().fetch_all(connection).await?)
+}
+
+/// Ids, in order, of the points whose cells meet a box.
+async fn select_candidates(
+    connection: &mut SqliteConnection,
+    session: i64,
+    region: &Bounds,
+) -> Result<Vec<i64>, StoreError> {
+    let mut sql = QueryBuilder::new("");
+    push_cell_keys(&mut sql, session, 0, region);
+    let rows = sql.build().fetch_all(connection).await?;
+    let mut ids =
+        rows.iter().map(|row| Ok(point_of_key(row.try_get(0)?))).collect::<Result<Vec<_>, StoreError>>()?;
+    ids.sort_unstable();
+    Ok(ids)
+}
+
+fn parse_points(rows: &[SqliteRow]) -> Result<Vec<PointLandmark>, StoreError> {
+    rows.iter().map(parse_point).collect()
+}

@@ -1,0 +1,106 @@
+//! Poses as seven columns, and poses of key frames that may have been removed.
+
+use crate::StoreError;
+use crate::number::keyframe_id;
+use geometry::Pose;
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use slam::map::{KeyframeId, RemovedKeyframe};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, SqliteConnection};
+use std::collections::BTreeMap;
+
+/// A stored quaternion's length may differ from one by this: far more than rounding in any product of poses makes.
+const MAX_NORM_ERROR: f64 = 1e-6;
+
+/// A pose in the order of the columns: `qx, qy, qz, qw, tx, ty, tz`.
+pub(crate) fn pose_columns(pose: &Pose) -> [f64; 7] {
+    let (q, t) = (pose.rotation.coords, pose.translation);
+    [q.x, q.y, q.z, q.w, t.x, t.y, t.z]
+}
+
+/// As [`pose_columns`], refusing numbers that are not finite.
+pub(crate) fn finite_pose_columns(what: &str, pose: &Pose) -> Result<[f64; 7], StoreError> {
+    if pose.is_finite() { Ok(pose_columns(pose)) } else { Err(StoreError::NotFinite(what.to_owned())) }
+}
+
+/// The pose in the seven columns from `first` on; bit for bit what was stored.
+pub(crate) fn read_pose(row: &SqliteRow, first: usize) -> Result<Pose, StoreError> {
+    let mut columns = [0.0_f64; 7];
+    for (offset, value) in columns.iter_mut().enumerate() {
+        *value = row.try_get(first + offset)?;
+    }
+    let [qx, qy, qz, qw, tx, ty, tz] = columns;
+    let quaternion = Quaternion::new(qw, qx, qy, qz);
+    let is_unit = (quaternion.norm() - 1.0).abs() <= MAX_NORM_ERROR;
+    let pose = Pose::new(UnitQuaternion::new_unchecked(quaternion), Vector3::new(tx, ty, tz));
+    if is_unit && pose.is_finite() {
+        Ok(pose)
+    } else {
+        Err(StoreError::Corrupt("a pose is not a finite translation and a unit quaternion".into()))
+    }
+}
+
+/// Where every key frame of a session is, and what removed ones hang on: some hundred bytes for each.
+#[derive(Debug, Default)]
+pub(crate) struct PoseBook {
+    pub(crate) keyframes: BTreeMap<KeyframeId, Pose>,
+    pub(crate) removed: BTreeMap<KeyframeId, RemovedKeyframe>,
+}
+
+impl PoseBook {
+    /// Reads the poses of a session; the connection should be in a transaction.
+    pub async fn read(connection: &mut SqliteConnection, session: i64) -> Result<Self, StoreError> {
+        let rows = sqlx::query("SELECT id, qx, qy, qz, qw, tx, ty, tz FROM keyframes WHERE session = ?")
+            .bind(session)
+            .fetch_all(&mut *connection)
+            .await?;
+        let keyframes = rows
+            .iter()
+            .map(|row| Ok((keyframe_id(row.try_get(0)?)?, read_pose(row, 1)?)))
+            .collect::<Result<_, StoreError>>()?;
+        let removed = read_removed(connection, session)
+            .await?
+            .into_iter()
+            .map(|removed| (removed.id, removed))
+            .collect();
+        Ok(Self { keyframes, removed })
+    }
+
+    /// `camera_from_world` of a key frame that is or was in the map; `None` if it hangs on nothing.
+    pub fn camera_from_world(&self, id: KeyframeId) -> Option<Pose> {
+        let mut camera_from_current = Pose::identity();
+        let mut current = id;
+        // The bound ends the walk where damaged rows form a ring.
+        for _ in 0..=self.removed.len() {
+            if let Some(current_from_world) = self.keyframes.get(&current) {
+                return Some(camera_from_current * *current_from_world);
+            }
+            let removed = self.removed.get(&current)?;
+            camera_from_current = camera_from_current * removed.camera_from_anchor;
+            current = removed.anchor;
+        }
+        None
+    }
+}
+
+/// The removed key frames of a session in the order of their ids.
+pub(crate) async fn read_removed(
+    connection: &mut SqliteConnection,
+    session: i64,
+) -> Result<Vec<RemovedKeyframe>, StoreError> {
+    let rows = sqlx::query(
+        "SELECT id, anchor, qx, qy, qz, qw, tx, ty, tz FROM removed_keyframes WHERE session = ? ORDER BY id",
+    )
+    .bind(session)
+    .fetch_all(connection)
+    .await?;
+    rows.iter()
+        .map(|row| {
+            Ok(RemovedKeyframe {
+                id: keyframe_id(row.try_get(0)?)?,
+                anchor: keyframe_id(row.try_get(1)?)?,
+                camera_from_anchor: read_pose(row, 2)?,
+            })
+        })
+        .collect()
+}

@@ -1,0 +1,156 @@
+//! Key frames of an update, and what removed ones hang on.
+
+use super::KeyframeImage;
+use super::rows::{MultiRow, id_list};
+use crate::StoreError;
+use crate::blob::encode_features;
+use crate::number::{keyframe_column, to_column};
+use crate::pose::finite_pose_columns;
+use slam::Keyframe;
+use slam::map::{KeyframeId, MapUpdate, RemovedKeyframe};
+use sqlx::SqliteConnection;
+use std::collections::BTreeSet;
+
+const KEYFRAME_ROWS: MultiRow = MultiRow {
+    insert: "INSERT INTO keyframes (session, id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, \
+             parent, n_keypoints, n_points) VALUES ",
+    n_columns: 15,
+    conflict: " ON CONFLICT (session, id) DO UPDATE SET submap = excluded.submap, qx = excluded.qx, \
+               qy = excluded.qy, qz = excluded.qz, qw = excluded.qw, tx = excluded.tx, ty = excluded.ty, \
+               tz = excluded.tz, parent = excluded.parent, n_points = excluded.n_points",
+};
+
+const REMOVED_ROWS: MultiRow = MultiRow {
+    insert: "INSERT INTO removed_keyframes (session, id, anchor, qx, qy, qz, qw, tx, ty, tz) VALUES ",
+    n_columns: 10,
+    conflict: " ON CONFLICT (session, id) DO UPDATE SET anchor = excluded.anchor, qx = excluded.qx, \
+               qy = excluded.qy, qz = excluded.qz, qw = excluded.qw, tx = excluded.tx, ty = excluded.ty, \
+               tz = excluded.tz",
+};
+
+/// Features are large: statements of one row, the text of which is prepared once.
+const INSERT_FEATURES: &str = "INSERT INTO keyframe_features (session, keyframe, features) VALUES (?, ?, ?)";
+
+/// Writes changed key frames' rows, deletes removed ones', and notes what those hang on.
+pub(super) async fn write_keyframes(
+    connection: &mut SqliteConnection,
+    session: i64,
+    update: &MapUpdate,
+) -> Result<(), StoreError> {
+    let changed: Vec<&Keyframe> =
+        update.changes.keyframes.iter().filter_map(|id| update.map.keyframe(*id)).collect();
+    KEYFRAME_ROWS
+        .write(connection, &changed, |columns, keyframe| {
+            let pose = finite_pose_columns("a key frame's pose", &keyframe.camera_from_world)?;
+            columns.add(session)?;
+            columns.add(keyframe_column(keyframe.id)?)?;
+            columns.add(i64::from(keyframe.submap.0))?;
+            columns.add(to_column("sequence", keyframe.sequence)?)?;
+            columns.add(keyframe.timestamp_ns)?;
+            pose.into_iter().try_for_each(|value| columns.add(value))?;
+            columns.add(keyframe.parent.map(keyframe_column).transpose()?)?;
+            columns.add(keyframe.features.len() as i64)?;
+            columns.add(keyframe.n_points() as i64)
+        })
+        .await?;
+    delete_keyframes(connection, session, update).await
+}
+
+async fn delete_keyframes(
+    connection: &mut SqliteConnection,
+    session: i64,
+    update: &MapUpdate,
+) -> Result<(), StoreError> {
+    let changes = &update.changes;
+    // A changed key frame that is not in the map went in the same breath.
+    let gone: BTreeSet<KeyframeId> = changes
+        .removed_keyframes
+        .union(&changes.keyframes)
+        .copied()
+        .filter(|id| update.map.keyframe(*id).is_none())
+        .collect();
+    if gone.is_empty() {
+        return Ok(());
+    }
+    sqlx::query("DELETE FROM keyframes WHERE session = ? AND id IN (SELECT value FROM json_each(?))")
+        .bind(session)
+        .bind(id_list(gone.iter().map(|id| id.get())))
+        .execute(&mut *connection)
+        .await?;
+
+    let removed: Vec<&RemovedKeyframe> =
+        gone.iter().filter_map(|id| update.map.removed_keyframe(*id)).collect();
+    REMOVED_ROWS
+        .write(connection, &removed, |columns, removed| {
+            let pose = finite_pose_columns("a removed key frame's pose", &removed.camera_from_anchor)?;
+            columns.add(session)?;
+            columns.add(keyframe_column(removed.id)?)?;
+            columns.add(keyframe_column(removed.anchor)?)?;
+            pose.into_iter().try_for_each(|value| columns.add(value))
+        })
+        .await?;
+    if removed.len() < gone.len() {
+        // A whole submap went, and with it what hung on its key frames.
+        sqlx::query(
+            "DELETE FROM removed_keyframes WHERE session = ? AND id NOT IN (SELECT value FROM json_each(?))",
+        )
+        .bind(session)
+        .bind(id_list(update.map.removed_keyframes().map(|removed| removed.id.get())))
+        .execute(connection)
+        .await?;
+    }
+    Ok(())
+}
+
+/// Writes the features of key frames that are new to the database.
+pub(super) async fn write_features(
+    connection: &mut SqliteConnection,
+    session: i64,
+    update: &MapUpdate,
+) -> Result<(), StoreError> {
+    if update.changes.keyframes.is_empty() {
+        return Ok(());
+    }
+    let known: Vec<i64> = sqlx::query_scalar(
+        "SELECT keyframe FROM keyframe_features WHERE session = ? AND keyframe IN (SELECT value FROM json_each(?))",
+    )
+    .bind(session)
+    .bind(id_list(update.changes.keyframes.iter().map(|id| id.get())))
+    .fetch_all(&mut *connection)
+    .await?;
+    let known: BTreeSet<i64> = known.into_iter().collect();
+    for keyframe in update.changes.keyframes.iter().filter_map(|id| update.map.keyframe(*id)) {
+        let id = keyframe_column(keyframe.id)?;
+        if !known.contains(&id) {
+            sqlx::query(INSERT_FEATURES)
+                .bind(session)
+                .bind(id)
+                .bind(encode_features(&keyframe.features))
+                .execute(&mut *connection)
+                .await?;
+        }
+    }
+    Ok(())
+}
+
+/// Writes images of key frames that are in the map.
+pub(super) async fn write_images(
+    connection: &mut SqliteConnection,
+    session: i64,
+    update: &MapUpdate,
+    images: &[KeyframeImage],
+) -> Result<(), StoreError> {
+    for image in images.iter().filter(|image| update.map.keyframe(image.keyframe).is_some()) {
+        sqlx::query(
+            "INSERT INTO keyframe_images (session, keyframe, media_type, bytes) VALUES (?, ?, ?, ?)
+             ON CONFLICT (session, keyframe) DO UPDATE SET media_type = excluded.media_type, bytes = excluded.bytes",
+        )
+        .bind(session)
+        .bind(keyframe_column(image.keyframe)?)
+        .bind(&image.media_type)
+        .bind(image.bytes.as_slice())
+        .execute(&mut *connection)
+        .await?;
+    }
+    Ok(())
+}

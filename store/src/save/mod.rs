@@ -1,0 +1,135 @@
+//! Writing a map update: one transaction, and in it only the rows that changed.
+
+mod keyframes;
+mod landmarks;
+mod rows;
+
+use crate::number::to_column;
+use crate::pose::finite_pose_columns;
+use crate::session::{SessionCounts, read_session, state_column, write_progress};
+use crate::{Store, StoreError};
+use rows::MultiRow;
+pub(crate) use rows::id_list;
+use slam::map::{FrameRecord, FrameState, KeyframeId, MapUpdate};
+use sqlx::SqliteConnection;
+
+/// What the session's row says after an update, besides what the map tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SessionStatus {
+    /// How tracking the last frame ended.
+    pub state: FrameState,
+}
+
+/// The image of a key frame as it was received.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct KeyframeImage {
+    /// The key frame.
+    pub keyframe: KeyframeId,
+    /// What the bytes are, such as `image/png`.
+    pub media_type: String,
+    /// The encoded image.
+    pub bytes: Vec<u8>,
+}
+
+/// What is durable after a commit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Committed {
+    /// Every frame handed over so far up to this sequence number is in the database; `None` before the first.
+    pub last_sequence: Option<u64>,
+    /// How many things the session has now.
+    pub counts: SessionCounts,
+}
+
+impl Store {
+    /// Stores an update in one transaction: all of it is in the database afterwards, or none of it.
+    ///
+    /// Writes the rows that `update.changes` names, as they are in `update.map`, and `update.frames`. Images of key
+    /// frames that are no longer in the map are left out. After an error the database is as it was and the same
+    /// update, alone or merged with later ones, can be tried again.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`], [`StoreError::Io`] and [`StoreError::Busy`] may pass; the others will not.
+    pub async fn save_update(
+        &self,
+        session: &str,
+        update: &MapUpdate,
+        status: SessionStatus,
+        images: &[KeyframeImage],
+    ) -> Result<Committed, StoreError> {
+        let mut transaction = self.begin_write().await?;
+        let (number, before) = read_session(&mut transaction, session).await?;
+
+        landmarks::delete_points(&mut transaction, number, update).await?;
+        keyframes::write_keyframes(&mut transaction, number, update).await?;
+        keyframes::write_features(&mut transaction, number, update).await?;
+        keyframes::write_images(&mut transaction, number, update, images).await?;
+        landmarks::write_points(&mut transaction, number, update).await?;
+        let n_new_frames = write_frames(&mut transaction, number, &update.frames).await?;
+
+        let newest = update.frames.iter().map(|frame| (frame.sequence, frame.timestamp_ns)).max();
+        let last_frame = before.last_frame.max(newest);
+        let counts = SessionCounts {
+            n_frames: before.counts.n_frames + n_new_frames,
+            n_keyframes: update.map.n_keyframes() as u64,
+            n_points: update.map.n_points() as u64,
+            n_submaps: update.map.submaps().len() as u32,
+        };
+        write_progress(&mut transaction, number, status.state, last_frame, update.map.last_ids(), &counts)
+            .await?;
+        transaction.commit().await?;
+        Ok(Committed { last_sequence: last_frame.map(|(sequence, _)| sequence), counts })
+    }
+}
+
+const FRAME_ROWS: MultiRow = MultiRow {
+    insert: "INSERT INTO frames (session, sequence, timestamp_ns, state, backfilled, submap, reference, \
+             qx, qy, qz, qw, tx, ty, tz) VALUES ",
+    n_columns: 14,
+    conflict: " ON CONFLICT (session, sequence) DO UPDATE SET timestamp_ns = excluded.timestamp_ns, \
+               state = excluded.state, backfilled = excluded.backfilled, submap = excluded.submap, \
+               reference = excluded.reference, qx = excluded.qx, qy = excluded.qy, qz = excluded.qz, \
+               qw = excluded.qw, tx = excluded.tx, ty = excluded.ty, tz = excluded.tz",
+};
+
+/// Adds frames to the trajectory or replaces them there; how many were added.
+async fn write_frames(
+    connection: &mut SqliteConnection,
+    session: i64,
+    frames: &[FrameRecord],
+) -> Result<u64, StoreError> {
+    if frames.is_empty() {
+        return Ok(0);
+    }
+    let mut frames: Vec<&FrameRecord> = frames.iter().collect();
+    // Of two records of a frame the later one holds, in this update as between updates.
+    frames.reverse();
+    frames.sort_by_key(|frame| frame.sequence);
+    frames.dedup_by_key(|frame| frame.sequence);
+
+    let n_known: i64 = sqlx::query_scalar(
+        "SELECT count(*) FROM frames WHERE session = ? AND sequence IN (SELECT value FROM json_each(?))",
+    )
+    .bind(session)
+    .bind(id_list(frames.iter().map(|frame| frame.sequence)))
+    .fetch_one(&mut *connection)
+    .await?;
+
+    FRAME_ROWS
+        .write(connection, &frames, |columns, frame| {
+            let pose = match &frame.pose {
+                Some(pose) => Some(finite_pose_columns("a frame's pose", &pose.camera_from_reference)?),
+                None => None,
+            };
+            columns.add(session)?;
+            columns.add(to_column("sequence", frame.sequence)?)?;
+            columns.add(frame.timestamp_ns)?;
+            columns.add(state_column(frame.state))?;
+            columns.add(frame.backfilled)?;
+            columns.add(frame.pose.map(|pose| i64::from(pose.submap.0)))?;
+            columns
+                .add(frame.pose.map(|pose| to_column("key frame id", pose.reference.get())).transpose()?)?;
+            (0..7).try_for_each(|idx| columns.add(pose.map(|pose| pose[idx])))
+        })
+        .await?;
+    Ok(frames.len() as u64 - n_known as u64)
+}

@@ -1,0 +1,271 @@
+//! Sessions: what they are called, what they run with, and how far they have come.
+
+mod json;
+
+use crate::number::{from_column, from_column_u32, to_column};
+use crate::{Store, StoreError};
+use geometry::{Camera, CameraParameters};
+use slam::map::FrameState;
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, SqliteConnection};
+
+pub use json::SessionOptions;
+
+/// A session to be made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NewSession {
+    /// The name; the caller has checked its form.
+    pub id: String,
+    /// The camera the frames come from.
+    pub camera: CameraParameters,
+    /// What the session runs with.
+    pub options: SessionOptions,
+    /// Wall-clock time of creation, nanoseconds since 1970.
+    pub created_at_ns: i64,
+}
+
+/// A stored session.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SessionRecord {
+    /// The name.
+    pub id: String,
+    /// The camera the frames come from.
+    pub camera: CameraParameters,
+    /// What the session runs with.
+    pub options: SessionOptions,
+    /// Wall-clock time of creation, nanoseconds since 1970.
+    pub created_at_ns: i64,
+    /// How tracking the last stored frame ended.
+    pub state: FrameState,
+    /// Metres per map unit; `None` while the scale is free.
+    pub metres_per_unit: Option<f64>,
+    /// Number and time of the last stored frame: every frame up to it is in the database.
+    pub last_frame: Option<(u64, i64)>,
+    /// How many things the session has.
+    pub counts: SessionCounts,
+}
+
+/// How many things a session has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SessionCounts {
+    /// Frames of the trajectory, with and without a pose.
+    pub n_frames: u64,
+    /// Key frames, without removed ones.
+    pub n_keyframes: u64,
+    /// Points.
+    pub n_points: u64,
+    /// Submaps that have key frames.
+    pub n_submaps: u32,
+}
+
+/// What of a session may be changed after it was made; what is `None` stays.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SessionChanges {
+    /// New options; they hold from the next time the session is loaded.
+    pub options: Option<SessionOptions>,
+    /// A new scale, metres per map unit; `Some(None)` frees it.
+    pub metres_per_unit: Option<Option<f64>>,
+}
+
+/// Some sessions in the order of their names.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SessionPage {
+    /// The sessions.
+    pub sessions: Vec<SessionRecord>,
+    /// Pass this as `after` for the next page; `None` on the last one.
+    pub next: Option<String>,
+}
+
+impl Store {
+    /// Makes a session without a map.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionExists`] if the name is taken.
+    pub async fn create_session(&self, new: &NewSession) -> Result<SessionRecord, StoreError> {
+        let mut transaction = self.begin_write().await?;
+        let inserted = sqlx::query(
+            "INSERT INTO sessions (id, camera, options, created_at_ns, state) VALUES (?, ?, ?, ?, ?)
+             ON CONFLICT (id) DO NOTHING",
+        )
+        .bind(&new.id)
+        .bind(json::encode_camera(&new.camera)?)
+        .bind(json::encode_options(&new.options)?)
+        .bind(new.created_at_ns)
+        .bind(state_column(FrameState::Initialising))
+        .execute(&mut *transaction)
+        .await?;
+        if inserted.rows_affected() == 0 {
+            return Err(StoreError::SessionExists { id: new.id.clone() });
+        }
+        let record = read_session(&mut transaction, &new.id).await?.1;
+        transaction.commit().await?;
+        Ok(record)
+    }
+
+    /// The session of this name.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`] if there is none.
+    pub async fn get_session(&self, id: &str) -> Result<SessionRecord, StoreError> {
+        let mut reader = self.reader().await?;
+        Ok(read_session(&mut reader, id).await?.1)
+    }
+
+    /// Up to `page_size` sessions whose names come after the given one, in the order of the names' bytes.
+    pub async fn list_sessions(
+        &self,
+        after: Option<&str>,
+        page_size: u32,
+    ) -> Result<SessionPage, StoreError> {
+        let mut reader = self.reader().await?;
+        let rows = sqlx::query("SELECT * FROM sessions WHERE id > ? ORDER BY id LIMIT ?")
+            .bind(after.unwrap_or_default())
+            .bind(i64::from(page_size) + 1)
+            .fetch_all(&mut *reader)
+            .await?;
+        let mut sessions = rows
+            .iter()
+            .map(|row| parse_session(row).map(|(_, record)| record))
+            .collect::<Result<Vec<_>, _>>()?;
+        let has_more = sessions.len() > page_size as usize;
+        sessions.truncate(page_size as usize);
+        let next = sessions.last().filter(|_| has_more).map(|last| last.id.clone());
+        Ok(SessionPage { sessions, next })
+    }
+
+    /// Changes a session's options or scale.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`], or [`StoreError::NotFinite`] for a scale that is not a positive number.
+    pub async fn update_session(
+        &self,
+        id: &str,
+        changes: &SessionChanges,
+    ) -> Result<SessionRecord, StoreError> {
+        if let Some(Some(scale)) = changes.metres_per_unit
+            && !(scale.is_finite() && scale > 0.0)
+        {
+            return Err(StoreError::NotFinite("the scale".into()));
+        }
+        let mut transaction = self.begin_write().await?;
+        let (number, _) = read_session(&mut transaction, id).await?;
+        if let Some(options) = &changes.options {
+            sqlx::query("UPDATE sessions SET options = ? WHERE number = ?")
+                .bind(json::encode_options(options)?)
+                .bind(number)
+                .execute(&mut *transaction)
+                .await?;
+        }
+        if let Some(scale) = changes.metres_per_unit {
+            sqlx::query("UPDATE sessions SET metres_per_unit = ? WHERE number = ?")
+                .bind(scale)
+                .bind(number)
+                .execute(&mut *transaction)
+                .await?;
+        }
+        let record = read_session(&mut transaction, id).await?.1;
+        transaction.commit().await?;
+        Ok(record)
+    }
+}
+
+impl SessionRecord {
+    /// The camera, checked again.
+    ///
+    /// # Errors
+    /// [`StoreError::Corrupt`] if it is not the valid one that was stored.
+    pub fn checked_camera(&self) -> Result<Camera, StoreError> {
+        Camera::new(self.camera.clone())
+            .map_err(|error| StoreError::Corrupt(format!("the camera of session {:?}: {error}", self.id)))
+    }
+}
+
+/// The number of a session.
+pub(crate) async fn session_number(connection: &mut SqliteConnection, id: &str) -> Result<i64, StoreError> {
+    sqlx::query_scalar("SELECT number FROM sessions WHERE id = ?")
+        .bind(id)
+        .fetch_optional(connection)
+        .await?
+        .ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })
+}
+
+/// A session with its number.
+pub(crate) async fn read_session(
+    connection: &mut SqliteConnection,
+    id: &str,
+) -> Result<(i64, SessionRecord), StoreError> {
+    let row = sqlx::query("SELECT * FROM sessions WHERE id = ?").bind(id).fetch_optional(connection).await?;
+    parse_session(&row.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?)
+}
+
+pub(crate) fn parse_session(row: &SqliteRow) -> Result<(i64, SessionRecord), StoreError> {
+    let last_sequence: Option<i64> = row.try_get("last_sequence")?;
+    let last_timestamp_ns: Option<i64> = row.try_get("last_timestamp_ns")?;
+    let last_sequence = last_sequence.map(|value| from_column("a sequence", value)).transpose()?;
+    let record = SessionRecord {
+        id: row.try_get("id")?,
+        camera: json::decode_camera(row.try_get("camera")?)?,
+        options: json::decode_options(row.try_get("options")?)?,
+        created_at_ns: row.try_get("created_at_ns")?,
+        state: parse_state(row.try_get("state")?)?,
+        metres_per_unit: row.try_get("metres_per_unit")?,
+        last_frame: last_sequence.zip(last_timestamp_ns),
+        counts: SessionCounts {
+            n_frames: from_column("n_frames", row.try_get("n_frames")?)?,
+            n_keyframes: from_column("n_keyframes", row.try_get("n_keyframes")?)?,
+            n_points: from_column("n_points", row.try_get("n_points")?)?,
+            n_submaps: from_column_u32("n_submaps", row.try_get("n_submaps")?)?,
+        },
+    };
+    Ok((row.try_get("number")?, record))
+}
+
+/// Writes what a committed update makes of the session's row.
+pub(crate) async fn write_progress(
+    connection: &mut SqliteConnection,
+    number: i64,
+    state: FrameState,
+    last_frame: Option<(u64, i64)>,
+    last_ids: (u64, u64),
+    counts: &SessionCounts,
+) -> Result<(), StoreError> {
+    let last_sequence = last_frame.map(|(sequence, _)| to_column("sequence", sequence)).transpose()?;
+    sqlx::query(
+        "UPDATE sessions SET state = ?, last_sequence = ?, last_timestamp_ns = ?, last_keyframe_id = ?,
+         last_point_id = ?, n_frames = ?, n_keyframes = ?, n_points = ?, n_submaps = ? WHERE number = ?",
+    )
+    .bind(state_column(state))
+    .bind(last_sequence)
+    .bind(last_frame.map(|(_, timestamp_ns)| timestamp_ns))
+    .bind(to_column("key frame id", last_ids.0)?)
+    .bind(to_column("point id", last_ids.1)?)
+    .bind(to_column("n_frames", counts.n_frames)?)
+    .bind(to_column("n_keyframes", counts.n_keyframes)?)
+    .bind(to_column("n_points", counts.n_points)?)
+    .bind(i64::from(counts.n_submaps))
+    .bind(number)
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+/// A frame's state as a column value.
+pub(crate) fn state_column(state: FrameState) -> i64 {
+    match state {
+        FrameState::Initialising => 1,
+        FrameState::Tracked => 2,
+        FrameState::Weak => 3,
+        FrameState::Lost => 4,
+    }
+}
+
+/// Reverses [`state_column`].
+pub(crate) fn parse_state(value: i64) -> Result<FrameState, StoreError> {
+    match value {
+        1 => Ok(FrameState::Initialising),
+        2 => Ok(FrameState::Tracked),
+        3 => Ok(FrameState::Weak),
+        4 => Ok(FrameState::Lost),
+        _ => Err(StoreError::Corrupt(format!("a frame has the unknown state {value}"))),
+    }
+}

@@ -1,0 +1,213 @@
+//! Trajectories, resolved when they are asked for.
+
+use crate::number::{from_column, keyframe_id, submap_id, to_column};
+use crate::pose::{PoseBook, read_pose};
+use crate::session::{parse_state, session_number};
+use crate::{Store, StoreError};
+use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
+use geometry::Pose;
+use slam::map::{FrameState, KeyframeId, SubmapId};
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+/// Which poses a trajectory is made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TrajectoryKind {
+    /// Every frame that has a pose.
+    #[default]
+    Frames,
+    /// The key frames in the map.
+    Keyframes,
+}
+
+/// Which part of a trajectory is wanted; by default all of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TrajectoryFilter {
+    /// First time, nanoseconds.
+    pub from_timestamp_ns: Option<i64>,
+    /// Last time, nanoseconds.
+    pub to_timestamp_ns: Option<i64>,
+    /// Poses in this submap's frame of reference only.
+    pub submap: Option<SubmapId>,
+}
+
+/// One pose of a trajectory.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrajectoryPose {
+    /// The client's number of the frame.
+    pub sequence: u64,
+    /// The client's time of the frame, nanoseconds.
+    pub timestamp_ns: i64,
+    /// The submap whose frame of reference the pose is in.
+    pub submap: SubmapId,
+    /// How tracking ended; of key frames, always tracked.
+    pub state: FrameState,
+    /// The pose was found after the frame was answered.
+    pub backfilled: bool,
+    /// The key frame the pose hangs on; for key frames, itself.
+    pub reference: KeyframeId,
+    /// Position and orientation of the camera, map units.
+    pub world_from_camera: Pose,
+}
+
+/// Frames read at a time: no reader holds the database's log between steps, however slowly the stream is drunk.
+const FRAMES_PER_STEP: i64 = 512;
+
+impl Store {
+    /// The poses of a session in the order of their time, as the map stands now.
+    ///
+    /// Poses of key frames are read at once, so that the whole trajectory belongs to one state of the map; frames are
+    /// read as the stream goes on, up to the last one there is now. Frames whose key frames were dropped with a whole
+    /// submap have no place any more and are left out.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`], before the stream begins.
+    pub async fn trajectory(
+        &self,
+        session: &str,
+        kind: TrajectoryKind,
+        filter: TrajectoryFilter,
+    ) -> Result<BoxStream<'static, Result<TrajectoryPose, StoreError>>, StoreError> {
+        let mut transaction = self.begin_read().await?;
+        let number = session_number(&mut transaction, session).await?;
+        let book = PoseBook::read(&mut transaction, number).await?;
+        let last: Option<i64> = sqlx::query_scalar("SELECT last_sequence FROM sessions WHERE number = ?")
+            .bind(number)
+            .fetch_one(&mut *transaction)
+            .await?;
+        transaction.commit().await?;
+        let cursor = Cursor {
+            store: self.clone(),
+            session: number,
+            kind,
+            filter,
+            book,
+            next: 0,
+            last: last.unwrap_or(-1),
+        };
+        let steps = stream::try_unfold(cursor, |mut cursor| async move {
+            let step = cursor.step().await?;
+            Ok::<_, StoreError>(step.map(|poses| (stream::iter(poses).map(Ok::<_, StoreError>), cursor)))
+        });
+        Ok(steps.try_flatten().boxed())
+    }
+}
+
+/// How far a trajectory has been read.
+struct Cursor {
+    store: Store,
+    session: i64,
+    kind: TrajectoryKind,
+    filter: TrajectoryFilter,
+    book: PoseBook,
+    /// First sequence not yet read.
+    next: i64,
+    /// Last sequence to read.
+    last: i64,
+}
+
+const SELECT_FRAMES: &str = "SELECT sequence, timestamp_ns, submap, state, backfilled, reference, \
+     qx, qy, qz, qw, tx, ty, tz FROM frames \
+     WHERE session = ?1 AND sequence >= ?2 AND sequence <= ?3 AND reference IS NOT NULL \
+     AND timestamp_ns BETWEEN ?4 AND ?5 AND (?6 IS NULL OR submap = ?6) ORDER BY sequence LIMIT ?7";
+
+/// Key frames are few: those of the whole session are no more than a few steps' worth of frames. Times and numbers of
+/// frames rise together, so one order is the other. State 2 is tracked.
+const SELECT_KEYFRAMES: &str = "SELECT sequence, timestamp_ns, submap, 2, 0, id, qx, qy, qz, qw, tx, ty, tz \
+     FROM keyframes WHERE session = ?1 AND sequence >= ?2 AND sequence <= ?3 \
+     AND timestamp_ns BETWEEN ?4 AND ?5 AND (?6 IS NULL OR submap = ?6) ORDER BY sequence LIMIT ?7";
+
+impl Cursor {
+    /// The next poses; `None` at the end.
+    async fn step(&mut self) -> Result<Option<Vec<TrajectoryPose>>, StoreError> {
+        if self.next > self.last {
+            return Ok(None);
+        }
+        let sql = match self.kind {
+            TrajectoryKind::Frames => SELECT_FRAMES,
+            TrajectoryKind::Keyframes => SELECT_KEYFRAMES,
+        };
+        let mut reader = self.store.reader().await?;
+        let rows = sqlx::query(sql)
+            .bind(self.session)
+            .bind(self.next)
+            .bind(self.last)
+            .bind(self.filter.from_timestamp_ns.unwrap_or(i64::MIN))
+            .bind(self.filter.to_timestamp_ns.unwrap_or(i64::MAX))
+            .bind(self.filter.submap.map(|submap| i64::from(submap.0)))
+            .bind(FRAMES_PER_STEP)
+            .fetch_all(&mut *reader)
+            .await?;
+        drop(reader);
+        let Some(last_row) = rows.last() else { return Ok(None) };
+        self.next = last_row.try_get::<i64, _>(0)?.saturating_add(1);
+        let poses = rows.iter().filter_map(|row| self.resolve(row).transpose());
+        poses.collect::<Result<Vec<_>, _>>().map(Some)
+    }
+
+    /// The pose of a row, where its key frame has a place.
+    fn resolve(&self, row: &SqliteRow) -> Result<Option<TrajectoryPose>, StoreError> {
+        let reference = keyframe_id(row.try_get(5)?)?;
+        let Some(reference_from_world) = self.book.camera_from_world(reference) else { return Ok(None) };
+        let camera_from_world = match self.kind {
+            TrajectoryKind::Frames => read_pose(row, 6)? * reference_from_world,
+            TrajectoryKind::Keyframes => reference_from_world,
+        };
+        Ok(Some(TrajectoryPose {
+            sequence: from_column("a sequence", row.try_get(0)?)?,
+            timestamp_ns: row.try_get(1)?,
+            submap: submap_id(row.try_get(2)?)?,
+            state: parse_state(row.try_get(3)?)?,
+            backfilled: row.try_get(4)?,
+            reference,
+            world_from_camera: camera_from_world.inverse(),
+        }))
+    }
+}
+
+/// What one frame of a session came to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StoredFrame {
+    /// The client's number of the frame.
+    pub sequence: u64,
+    /// The client's time of the frame, nanoseconds.
+    pub timestamp_ns: i64,
+    /// How tracking ended.
+    pub state: FrameState,
+    /// The submap and the camera's pose in it, where there is one; map units.
+    pub world_from_camera: Option<(SubmapId, Pose)>,
+}
+
+impl Store {
+    /// One frame of the trajectory, with or without a pose; for answering a repeated sequence.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn frame(&self, session: &str, sequence: u64) -> Result<Option<StoredFrame>, StoreError> {
+        let mut transaction = self.begin_read().await?;
+        let number = session_number(&mut transaction, session).await?;
+        let row = sqlx::query(
+            "SELECT timestamp_ns, state, submap, reference, qx, qy, qz, qw, tx, ty, tz FROM frames
+             WHERE session = ? AND sequence = ?",
+        )
+        .bind(number)
+        .bind(to_column("sequence", sequence)?)
+        .fetch_optional(&mut *transaction)
+        .await?;
+        let Some(row) = row else { return Ok(None) };
+        let reference: Option<i64> = row.try_get(3)?;
+        let world_from_camera = match reference {
+            Some(reference) => {
+                let book = PoseBook::read(&mut transaction, number).await?;
+                let submap = submap_id(row.try_get(2)?)?;
+                let camera_from_reference = read_pose(&row, 4)?;
+                book.camera_from_world(keyframe_id(reference)?).map(|reference_from_world| {
+                    (submap, (camera_from_reference * reference_from_world).inverse())
+                })
+            }
+            None => None,
+        };
+        let state = parse_state(row.try_get(1)?)?;
+        Ok(Some(StoredFrame { sequence, timestamp_ns: row.try_get(0)?, state, world_from_camera }))
+    }
+}

@@ -1,0 +1,109 @@
+use crate::world::*;
+use sqlx::AssertSqlSafe;
+use sqlx::sqlite::SqlitePool;
+use store::{Store, StoreOptions};
+
+/// What `check` says after a statement was run on a sound database.
+async fn problems_after(damage: &'static str) -> Vec<String> {
+    let folder = tempfile::tempdir().unwrap();
+    let store = store_with_session(folder.path()).await;
+    store.save_update("s", &first_update(&parts(61, SMALL)), TRACKED, &[]).await.unwrap();
+    assert_eq!(store.check().await.unwrap(), []);
+    store.close().await.unwrap();
+    let connection = SqlitePool::connect(store.path().to_str().unwrap()).await.unwrap();
+    let statement = format!("PRAGMA foreign_keys = OFF; PRAGMA ignore_check_constraints = ON; {damage}");
+    sqlx::raw_sql(AssertSqlSafe(statement)).execute(&connection).await.unwrap();
+    connection.close().await;
+    let store = Store::open(store.path(), StoreOptions::default()).await.unwrap();
+    store.check().await.unwrap().iter().map(ToString::to_string).collect()
+}
+
+#[tokio::test]
+async fn every_kind_of_damage_is_found() {
+    let cases = [
+        ("UPDATE sessions SET n_points = 3", "it claims 3 points but has 60"),
+        ("UPDATE sessions SET n_frames = 3", "it claims 3 frames but has 20"),
+        ("UPDATE sessions SET last_sequence = 21", "as its last frame"),
+        ("UPDATE sessions SET camera = '{}'", "camera: "),
+        (
+            "UPDATE sessions SET camera = replace(camera, '458.654', '-1.0')",
+            "fx must be a positive focal length",
+        ),
+        ("UPDATE sessions SET state = 9", "unknown state 9"),
+        ("UPDATE keyframes SET qw = qw + 0.5 WHERE id = 2", "key frame 2 has no finite pose"),
+        ("UPDATE keyframes SET tx = 9e999 WHERE id = 3", "key frame 3 has no finite pose"),
+        ("UPDATE keyframes SET n_keypoints = 41 WHERE id = 3", "key frame 3 claims 41 keypoints but has 40"),
+        ("UPDATE keyframes SET parent = 99 WHERE id = 3", "a row of keyframes refers to one of keyframes"),
+        ("DELETE FROM keyframe_features WHERE keyframe = 4", "key frame 4 has no features"),
+        (
+            "UPDATE keyframe_features SET features = x'01' WHERE keyframe = 1",
+            "features of key frame 1 cannot be read",
+        ),
+        ("DELETE FROM keyframes WHERE id = 6", "refers to one of keyframes that is not there"),
+        ("UPDATE points SET x = 9e999 WHERE id = 5", "point 5 has a number that is not finite"),
+        ("UPDATE points SET x = x + 50 WHERE id = 5", "point 5 is not where spatial queries look"),
+        (
+            "UPDATE points SET observations = x'02' WHERE id = 5",
+            "point 5: observations have the unknown format 2",
+        ),
+        (
+            "UPDATE points SET observations = x'01', n_observations = 0 WHERE id = 5",
+            "point 5 is seen by 0 key frames",
+        ),
+        ("UPDATE points SET n_observations = 9 WHERE id = 5", "point 5 has the wrong number of observations"),
+        (
+            "UPDATE points SET observations = x'0101000163', n_observations = 2 WHERE id = 5",
+            "a keypoint its key frame does not have: 99 of 2",
+        ),
+        (
+            "UPDATE points SET observations = x'0101006300', n_observations = 2 WHERE id = 5",
+            "a key frame that is not there: 0 of 100",
+        ),
+        (
+            "UPDATE points SET (observations, n_observations) = (SELECT observations, n_observations FROM points WHERE id = 6) WHERE id = 5",
+            "a keypoint that another point is seen by",
+        ),
+        ("DELETE FROM point_cells WHERE key & 0xffffffffff = 8", "point 8 is not where spatial queries look"),
+        (
+            "INSERT INTO point_cells VALUES ((1 << 40) | 70, 1, 1, 0, 1, 0, 1, 0, 1)",
+            "61 places are noted for 60 points",
+        ),
+        (
+            "INSERT INTO removed_keyframes VALUES (1, 9, 8, 0, 0, 0, 1, 0, 0, 0), (1, 8, 9, 0, 0, 0, 1, 0, 0, 0)",
+            "removed key frame 8 hangs on nothing",
+        ),
+        (
+            "INSERT INTO removed_keyframes VALUES (1, 2, 1, 0, 0, 0, 1, 0, 0, 0)",
+            "key frame 2 is in the map and removed",
+        ),
+        (
+            "UPDATE frames SET timestamp_ns = 0 WHERE sequence = 9",
+            "the time of frame 9 is not after the one before",
+        ),
+        ("UPDATE frames SET qx = 7 WHERE sequence = 9", "frame 9 has no finite pose"),
+        ("UPDATE frames SET state = 0 WHERE sequence = 9", "unknown state 0"),
+        (
+            "INSERT INTO frames (session, sequence, timestamp_ns, state, backfilled) VALUES (7, 1, 1, 1, 0)",
+            "a row of frames refers to one of sessions",
+        ),
+    ];
+    for (damage, expected) in cases {
+        let problems = problems_after(damage).await;
+        assert!(problems.iter().any(|problem| problem.contains(expected)), "{damage}: {problems:?}");
+    }
+}
+
+#[tokio::test]
+async fn pages_overwritten_on_disk_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = store_with_session(folder.path()).await;
+    store.save_update("s", &first_update(&parts(62, SMALL)), TRACKED, &[]).await.unwrap();
+    store.close().await.unwrap();
+    let mut bytes = std::fs::read(store.path()).unwrap();
+    let n = bytes.len();
+    bytes[n - 8192..].fill(0x5a);
+    std::fs::write(store.path(), bytes).unwrap();
+    let store = Store::open(store.path(), StoreOptions::default()).await.unwrap();
+    let outcome = store.check().await;
+    assert!(!matches!(&outcome, Ok(problems) if problems.is_empty()), "{outcome:?}");
+}

@@ -1,0 +1,10 @@
+//! The store from outside: what is saved comes back, and nothing else changes.
+
+mod check;
+mod durability;
+mod queries;
+mod save_load;
+mod schema;
+mod sessions;
+mod trajectory;
+mod world;

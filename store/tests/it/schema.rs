@@ -1,0 +1,91 @@
+use crate::world::*;
+use sqlx::sqlite::SqlitePool;
+use std::path::{Path, PathBuf};
+use store::{Store, StoreError, StoreOptions};
+
+/// A database written by the first release, with the session `s` of `parts(51, SMALL)`.
+fn first_release() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/schema-1.sqlite")
+}
+
+#[tokio::test]
+async fn a_database_of_the_first_release_opens() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("maps.db");
+    std::fs::copy(first_release(), &path).unwrap();
+    let store = Store::open(&path, StoreOptions::default()).await.unwrap();
+    assert_eq!(store.check().await.unwrap(), []);
+    let session = store.get_session("s").await.unwrap();
+    assert_eq!((session.camera, session.last_frame), (camera(), Some((20, 1_000_000_000))));
+    assert_same_parts(&load(&store).await, &parts(51, SMALL));
+    // And it can be written to.
+    store.save_update("s", &first_update(&parts(51, SMALL)), TRACKED, &[]).await.unwrap();
+}
+
+/// Writes the file the test above opens. Run once per release that changes the schema, under a new name.
+#[tokio::test]
+#[ignore = "writes a file of the repository"]
+async fn write_a_database_of_this_release() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = store_with_session(folder.path()).await;
+    store.save_update("s", &first_update(&parts(51, SMALL)), TRACKED, &[]).await.unwrap();
+    store.close().await.unwrap();
+    let name = format!("tests/fixtures/schema-{}.sqlite", Store::schema_version());
+    std::fs::copy(store.path(), Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap();
+}
+
+#[tokio::test]
+async fn a_newer_schema_is_refused_and_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = store_with_session(folder.path()).await;
+    store.close().await.unwrap();
+    let connection = SqlitePool::connect(store.path().to_str().unwrap()).await.unwrap();
+    sqlx::query(
+        "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time)
+         VALUES (9000, 'from the future', 1, x'00', 0)",
+    )
+    .execute(&connection)
+    .await
+    .unwrap();
+    connection.close().await;
+    let before = std::fs::read(store.path()).unwrap();
+
+    let error = Store::open(store.path(), StoreOptions::default()).await.unwrap_err();
+    let supported = Store::schema_version();
+    assert!(
+        matches!(error, StoreError::NewerSchema { found: 9000, supported: s } if s == supported),
+        "{error:?}"
+    );
+    assert!(error.to_string().contains("9000"));
+    assert_eq!(std::fs::read(store.path()).unwrap(), before);
+}
+
+#[tokio::test]
+async fn other_files_are_refused_and_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = folder.path().join("text.db");
+    std::fs::write(&text, "This is no database. ".repeat(400)).unwrap();
+    let other = folder.path().join("other.db");
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(&other).create_if_missing(true);
+    let connection = SqlitePool::connect_with(options).await.unwrap();
+    sqlx::query("CREATE TABLE recipes (name TEXT)").execute(&connection).await.unwrap();
+    connection.close().await;
+
+    for path in [text, other] {
+        let before = std::fs::read(&path).unwrap();
+        let error = Store::open(&path, StoreOptions::default()).await.unwrap_err();
+        assert!(matches!(&error, StoreError::NotAStore { .. }), "{error:?}");
+        assert_eq!(std::fs::read(&path).unwrap(), before);
+    }
+    let nowhere =
+        Store::open(folder.path().join("no/such/folder.db"), StoreOptions::default()).await.unwrap_err();
+    assert!(matches!(nowhere, StoreError::Io(_)), "{nowhere:?}");
+}
+
+#[tokio::test]
+async fn an_empty_file_is_as_good_as_none() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("maps.db"), "").unwrap();
+    let store = store_with_session(folder.path()).await;
+    assert_eq!(store.check().await.unwrap(), []);
+}

@@ -1,0 +1,103 @@
+use crate::world::*;
+use store::{SessionChanges, SessionCounts, SessionOptions, Store, StoreError, StoreOptions};
+
+#[tokio::test]
+async fn a_session_is_made_found_changed_and_deleted() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(folder.path().join("maps.db"), StoreOptions::default()).await.unwrap();
+    let made = store.create_session(&new_session("kitchen")).await.unwrap();
+    assert_eq!((made.id.as_str(), &made.camera), ("kitchen", &camera()));
+    assert_eq!((made.last_frame, made.metres_per_unit, made.counts), (None, None, SessionCounts::default()));
+    assert_eq!(store.get_session("kitchen").await.unwrap(), made);
+
+    let taken = store.create_session(&new_session("kitchen")).await.unwrap_err();
+    assert_eq!(taken.to_string(), r#"there is already a session "kitchen""#);
+
+    let options = SessionOptions { lines: Some(false), ..SessionOptions::default() };
+    let changes = SessionChanges { options: Some(options.clone()), metres_per_unit: Some(Some(0.25)) };
+    let changed = store.update_session("kitchen", &changes).await.unwrap();
+    assert_eq!((changed.options, changed.metres_per_unit), (options.clone(), Some(0.25)));
+    let freed = SessionChanges { options: None, metres_per_unit: Some(None) };
+    let changed = store.update_session("kitchen", &freed).await.unwrap();
+    assert_eq!((changed.options, changed.metres_per_unit), (options, None));
+    for scale in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let refused = SessionChanges { options: None, metres_per_unit: Some(Some(scale)) };
+        assert!(matches!(store.update_session("kitchen", &refused).await, Err(StoreError::NotFinite(_))));
+    }
+
+    store.delete_session("kitchen").await.unwrap();
+    for error in [
+        store.get_session("kitchen").await.unwrap_err(),
+        store.delete_session("kitchen").await.unwrap_err(),
+        store.update_session("kitchen", &freed).await.unwrap_err(),
+        store.digest("kitchen").await.unwrap_err(),
+    ] {
+        assert_eq!(error.to_string(), r#"there is no session "kitchen""#);
+    }
+}
+
+#[tokio::test]
+async fn sessions_are_listed_by_name_in_pages() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(folder.path().join("maps.db"), StoreOptions::default()).await.unwrap();
+    for id in ["c", "a", "e", "b", "d"] {
+        store.create_session(&new_session(id)).await.unwrap();
+    }
+    let mut seen = Vec::new();
+    let mut after: Option<String> = None;
+    loop {
+        let page = store.list_sessions(after.as_deref(), 2).await.unwrap();
+        assert!(page.sessions.len() <= 2);
+        seen.extend(page.sessions.into_iter().map(|session| session.id));
+        after = page.next;
+        if after.is_none() {
+            break;
+        }
+    }
+    assert_eq!(seen, ["a", "b", "c", "d", "e"]);
+    assert_eq!(store.list_sessions(None, 5).await.unwrap().next, None);
+}
+
+#[tokio::test]
+async fn deleting_one_session_leaves_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = store_with_session(folder.path()).await;
+    store.create_session(&new_session("other")).await.unwrap();
+    let (mine, other) = (parts(1, SMALL), parts(2, SMALL));
+    store.save_update("s", &first_update(&mine), TRACKED, &[]).await.unwrap();
+    store.save_update("other", &first_update(&other), TRACKED, &[]).await.unwrap();
+    let before = store.digest("other").await.unwrap();
+
+    store.delete_session("s").await.unwrap();
+    assert_eq!(store.digest("other").await.unwrap(), before);
+    assert_eq!(store.check().await.unwrap(), []);
+
+    store.create_session(&new_session("s")).await.unwrap();
+    assert_eq!(load(&store).await.points, []);
+    assert!(
+        store.digest("s").await.unwrap().0.iter().all(|table| table.table == "sessions" || table.n_rows == 0)
+    );
+}
+
+#[tokio::test]
+async fn an_interrupted_deletion_is_finished_when_the_database_is_opened() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("maps.db");
+    let store = store_with_session(folder.path()).await;
+    store.save_update("s", &first_update(&parts(1, SMALL)), TRACKED, &[]).await.unwrap();
+    store.close().await.unwrap();
+    // What delete_session has done before it begins to clear away rows.
+    let connection = sqlx::SqlitePool::connect(path.to_str().unwrap()).await.unwrap();
+    sqlx::query("UPDATE sessions SET id = NULL").execute(&connection).await.unwrap();
+    connection.close().await;
+
+    let store = Store::open(&path, StoreOptions::default()).await.unwrap();
+    assert_eq!(store.list_sessions(None, 10).await.unwrap().sessions, []);
+    store.close().await.unwrap();
+    let connection = sqlx::SqlitePool::connect(path.to_str().unwrap()).await.unwrap();
+    for table in ["sessions", "keyframes", "keyframe_features", "points", "point_cells", "frames"] {
+        let count = sqlx::AssertSqlSafe(format!("SELECT count(*) FROM {table}"));
+        let n_rows: i64 = sqlx::query_scalar(count).fetch_one(&connection).await.unwrap();
+        assert_eq!(n_rows, 0, "{table}");
+    }
+}

@@ -1,0 +1,222 @@
+//! Seeded maps made by hand, and updates between them.
+
+use geometry::{Camera, CameraModel, CameraParameters, Pose};
+use nalgebra::{UnitQuaternion, Vector3};
+use slam::features::FrameFeatures;
+use slam::map::{
+    FramePose, FrameRecord, FrameState, KeyframeId, MapChanges, MapParts, Observation, PointId,
+    PointLandmark, SubmapId,
+};
+use slam::{Keyframe, Map, MapUpdate, SlamConfig};
+use std::path::Path;
+use std::sync::Arc;
+use store::{NewSession, SessionOptions, SessionStatus, Store, StoreOptions};
+use vision::{Descriptor, Keypoint};
+
+/// A small generator of numbers that are the same everywhere (SplitMix64).
+pub struct Numbers(pub u64);
+
+impl Numbers {
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform in [-1, 1).
+    pub fn signed(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+
+    pub fn vector(&mut self, scale: f64) -> Vector3<f64> {
+        Vector3::from_fn(|_, _| self.signed() * scale)
+    }
+
+    pub fn pose(&mut self) -> Pose {
+        let rotation = UnitQuaternion::from_scaled_axis(self.vector(1.0));
+        Pose::new(rotation, self.vector(3.0))
+    }
+}
+
+pub fn camera() -> CameraParameters {
+    let distortion = vec![-0.283, 0.0739, 0.000194, 1.76e-5];
+    let (fx, fy, cx, cy) = (458.654, 457.296, 367.215, 248.375);
+    CameraParameters { model: CameraModel::Radtan, width: 752, height: 480, fx, fy, cx, cy, distortion }
+}
+
+pub fn kf(id: u64) -> KeyframeId {
+    KeyframeId::new(id).unwrap()
+}
+
+pub fn pt(id: u64) -> PointId {
+    PointId::new(id).unwrap()
+}
+
+pub fn new_session(id: &str) -> NewSession {
+    let options = SessionOptions { seed: Some(7), deterministic: Some(true), ..SessionOptions::default() };
+    NewSession { id: id.into(), camera: camera(), options, created_at_ns: 1_700_000_000_000_000_000 }
+}
+
+pub const TRACKED: SessionStatus = SessionStatus { state: FrameState::Tracked };
+
+/// A database in a folder of its own with one session, `s`.
+pub async fn store_with_session(folder: &Path) -> Store {
+    let store = Store::open(folder.join("maps.db"), StoreOptions::default()).await.unwrap();
+    store.create_session(&new_session("s")).await.unwrap();
+    store
+}
+
+fn features(numbers: &mut Numbers, n: usize) -> Arc<FrameFeatures> {
+    let config = SlamConfig::default();
+    let camera = config.working_camera(&Camera::new(camera()).unwrap());
+    let keypoints = (0..n)
+        .map(|_| Keypoint {
+            x: (376.0 + 350.0 * numbers.signed()) as f32,
+            y: (240.0 + 220.0 * numbers.signed()) as f32,
+            octave: (numbers.bits() % 8) as u8,
+            angle: (numbers.bits() % 360) as f32 * 0.017,
+            response: (numbers.bits() % 100) as f32,
+        })
+        .collect();
+    let descriptors = (0..n).map(|_| Descriptor(std::array::from_fn(|_| numbers.bits()))).collect();
+    Arc::new(FrameFeatures::from_parts(keypoints, descriptors, &camera, config.pyramid()).unwrap())
+}
+
+/// How large a map is.
+#[derive(Clone, Copy)]
+pub struct Size {
+    pub n_keyframes: u64,
+    pub n_keypoints: usize,
+    pub n_points: u64,
+}
+
+pub const SMALL: Size = Size { n_keyframes: 6, n_keypoints: 40, n_points: 60 };
+
+/// A consistent map: each point is seen by two to four neighbouring key frames, which hang on one another in a chain.
+pub fn parts(seed: u64, size: Size) -> MapParts {
+    let mut numbers = Numbers(seed);
+    let keyframes = (1..=size.n_keyframes).map(|id| {
+        let features = features(&mut numbers, size.n_keypoints);
+        let parent = (id > 1).then(|| kf(id - 1));
+        Keyframe::from_parts(
+            kf(id),
+            SubmapId(0),
+            id * 10,
+            id as i64 * 500_000_000,
+            numbers.pose(),
+            features,
+            parent,
+        )
+    });
+    let mut parts = MapParts {
+        keyframes: keyframes.collect(),
+        last_keyframe_id: size.n_keyframes,
+        last_point_id: size.n_points,
+        ..MapParts::default()
+    };
+    for id in 1..=size.n_points {
+        let point = point(&mut numbers, &mut parts.keyframes, pt(id));
+        parts.points.push(point);
+    }
+    parts
+}
+
+/// A new point seen by free keypoints of two to four neighbouring key frames.
+pub fn point(numbers: &mut Numbers, keyframes: &mut [Keyframe], id: PointId) -> PointLandmark {
+    let n_seen = 2 + (numbers.bits() % 3) as usize;
+    let first = (numbers.bits() % (keyframes.len() - n_seen + 1) as u64) as usize;
+    let mut observations = Vec::new();
+    for keyframe in &mut keyframes[first..first + n_seen] {
+        if let Some(free) = keyframe.points.iter().position(Option::is_none) {
+            keyframe.points[free] = Some(id);
+            observations.push(Observation { keyframe: keyframe.id, feature_idx: free as u32 });
+        }
+    }
+    assert!(observations.len() >= 2, "the world is too full for another point");
+    let distance = 2.0 + numbers.signed();
+    PointLandmark {
+        id,
+        submap: SubmapId(0),
+        position: numbers.vector(5.0),
+        descriptor: Descriptor(std::array::from_fn(|_| numbers.bits())),
+        mean_view_direction: numbers.vector(1.0).normalize(),
+        distance_range: (distance / 3.58, distance),
+        created_by: observations[0].keyframe,
+        observations,
+        n_visible: 5 + (numbers.bits() % 9) as u32,
+        n_found: 2 + (numbers.bits() % 3) as u32,
+    }
+}
+
+/// Takes a point out of the parts.
+pub fn remove_point(parts: &mut MapParts, id: PointId) {
+    parts.points.retain(|point| point.id != id);
+    for slot in parts.keyframes.iter_mut().flat_map(|keyframe| &mut keyframe.points) {
+        if *slot == Some(id) {
+            *slot = None;
+        }
+    }
+}
+
+pub fn map(parts: &MapParts) -> Arc<Map> {
+    Arc::new(Map::from_parts(parts.clone()).unwrap())
+}
+
+/// Everything in the parts is new.
+pub fn all_new(parts: &MapParts) -> MapChanges {
+    MapChanges {
+        keyframes: parts.keyframes.iter().map(|keyframe| keyframe.id).collect(),
+        points: parts.points.iter().map(|point| point.id).collect(),
+        ..MapChanges::default()
+    }
+}
+
+/// The whole map as one update, with a few frames.
+pub fn first_update(parts: &MapParts) -> MapUpdate {
+    let frames = (1..=20).map(|sequence| frame(sequence, kf(1 + sequence % 3))).collect();
+    MapUpdate { map: map(parts), changes: all_new(parts), frames }
+}
+
+/// A tracked frame near a key frame; its pose follows from its number.
+pub fn frame(sequence: u64, reference: KeyframeId) -> FrameRecord {
+    let camera_from_reference = Numbers(sequence).pose();
+    FrameRecord {
+        sequence,
+        timestamp_ns: sequence as i64 * 50_000_000,
+        state: FrameState::Tracked,
+        pose: Some(FramePose { submap: SubmapId(0), reference, camera_from_reference }),
+        backfilled: false,
+    }
+}
+
+/// A frame without a pose.
+pub fn lost_frame(sequence: u64) -> FrameRecord {
+    FrameRecord { pose: None, state: FrameState::Lost, ..frame(sequence, kf(1)) }
+}
+
+/// Compares maps to the last bit.
+pub fn assert_same_parts(left: &MapParts, right: &MapParts) {
+    assert_eq!(left.points, right.points);
+    assert_eq!(left.removed_keyframes, right.removed_keyframes);
+    assert_eq!((left.last_keyframe_id, left.last_point_id), (right.last_keyframe_id, right.last_point_id));
+    assert_eq!(left.keyframes.len(), right.keyframes.len());
+    for (a, b) in left.keyframes.iter().zip(&right.keyframes) {
+        assert_eq!(
+            (a.id, a.submap, a.sequence, a.timestamp_ns),
+            (b.id, b.submap, b.sequence, b.timestamp_ns)
+        );
+        assert_eq!((a.camera_from_world, a.parent), (b.camera_from_world, b.parent));
+        assert_eq!(a.points, b.points);
+        assert_eq!(a.features.keypoints, b.features.keypoints);
+        assert_eq!(a.features.descriptors, b.features.descriptors);
+        assert_eq!(a.features.undistorted, b.features.undistorted);
+        assert_eq!((a.features.pinhole, a.features.pyramid), (b.features.pinhole, b.features.pyramid));
+    }
+}
+
+/// What is stored of the session `s`.
+pub async fn load(store: &Store) -> MapParts {
+    store.load_session("s", &SlamConfig::default()).await.unwrap().resume.map
+}
