@@ -110,7 +110,8 @@ pub struct OrbConfig {
     /// orientation and descriptor (radius 15) lies inside. Default 16.
     pub edge_margin_px: u32,
     /// Share of the features chosen for covering the image, each the strongest of its square; the rest are the strongest
-    /// anywhere, which are the ones found again most often. 0 to 1. Default 0.5.
+    /// anywhere, which are the ones found again most often. 0 to 1. Default 0.25: on EuRoC V1_01, 5 frames apart, 550
+    /// correct matches in 84 squares of 32 px; at 0 it is 580 in 73, at 0.5 492 in 101, at 1 365 in 132.
     pub spread_share: f32,
 }
 
@@ -124,7 +125,7 @@ impl Default for OrbConfig {
             min_fast_threshold: 7,
             cell_size_px: 30,
             edge_margin_px: MIN_EDGE_MARGIN_PX,
-            spread_share: 0.5,
+            spread_share: 0.25,
         }
     }
 }
