@@ -49,7 +49,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (mut cpu_ms, mut wall_ms) = (Vec::new(), Vec::new());
     let mut stage_ms: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();
-    let frames = read_frame_list(dataset)?;
+    let mut frames = read_frame_list(dataset)?;
+    frames.truncate(value("--end").map_or(Ok(usize::MAX), |end| end.parse())?);
     let start = Instant::now();
     for (sequence, (timestamp_ns, path)) in frames.iter().enumerate() {
         let bytes = std::fs::read(dataset.join(path))?;

@@ -1,44 +1,55 @@
-//! Poses for frames that came before there was a map, or while the camera was lost.
+//! Poses for frames that came before there was a good map: while there was none, while the camera was lost, and while
+//! the map was young and its geometry still rough.
 //!
-//! Their features are kept for a while. Once the camera is followed again, the recording is followed backwards from
-//! there, one kept frame per new frame, so that no frame takes much longer than another.
+//! Their features are kept for a while. Once the map is good enough, the recording is followed backwards from the
+//! present frame, one kept frame per new frame, so that no frame takes much longer than another.
 
 use crate::config::SlamConfig;
 use crate::initialisation::View;
 use crate::map::{FrameRecord, FrameState, Map};
+use crate::mapping::median_depth;
 use crate::report::TrackingOutcome;
 use crate::tracking::Tracker;
 use crate::tracking::frame::TrackedFrame;
 use std::collections::VecDeque;
 
-/// Key frames a map should have before it is good enough to place older frames in.
-const MIN_KEYFRAMES: usize = 5;
 /// Frames in a row that may fail before the rest is given up.
 const MAX_FAILURES: usize = 5;
 
-/// Frames without a pose that may still get one.
+/// Frames that may still get a pose, or a better one.
 pub(crate) struct Backfill {
     config: SlamConfig,
     /// Frames since the camera was last followed, oldest first.
-    waiting: VecDeque<View>,
+    waiting: VecDeque<Waiting>,
     /// The way back from a frame that was placed, and the frames to visit, oldest first.
-    backward: Option<(Tracker, VecDeque<View>)>,
+    backward: Option<(Tracker, VecDeque<Waiting>)>,
     /// Where the way back begins, until the map is good enough.
     start: Option<TrackedFrame>,
     n_failures: usize,
+    is_mature: bool,
+}
+
+/// A kept frame.
+struct Waiting {
+    view: View,
+    /// It had a pose when it was answered, if a rough one.
+    had_pose: bool,
 }
 
 impl Backfill {
     pub fn new(config: SlamConfig) -> Self {
-        Self { config, waiting: VecDeque::new(), backward: None, start: None, n_failures: 0 }
+        Self { config, waiting: VecDeque::new(), backward: None, start: None, n_failures: 0, is_mature: false }
     }
 
-    /// Keeps a frame that got no pose; the oldest goes when there are too many.
-    pub fn keep(&mut self, view: View) {
+    /// Keeps a frame that got no pose, or got one while the map was young; the oldest goes when there are too many.
+    pub fn keep(&mut self, view: &View, had_pose: bool) {
+        if had_pose && self.is_mature {
+            return;
+        }
         if self.waiting.len() >= self.config.initialisation.max_backfill_views {
             self.waiting.pop_front();
         }
-        self.waiting.push_back(view);
+        self.waiting.push_back(Waiting { view: view.clone(), had_pose });
     }
 
     /// Notes that a frame was placed: the frames kept until now can be reached from it.
@@ -53,6 +64,7 @@ impl Backfill {
         self.waiting.clear();
         self.backward = None;
         self.start = None;
+        self.is_mature = false;
     }
 
     /// Whether there is nothing left to do.
@@ -62,15 +74,21 @@ impl Backfill {
 
     /// Tries to place one kept frame, unless the map is too young and `force` is not set.
     pub fn step(&mut self, map: &Map, force: bool) -> Option<FrameRecord> {
-        if self.backward.is_none() && (force || map.n_keyframes() >= MIN_KEYFRAMES) {
-            let start = self.start.take()?;
+        if self.backward.is_none() {
+            let start = self.start.as_ref()?.clone();
+            let is_full = self.waiting.len() >= self.config.initialisation.max_backfill_views;
+            self.is_mature |= is_mature(map, &start, self.config.initialisation.mature_baseline_share);
+            if !(self.is_mature || is_full || force) {
+                return None;
+            }
+            self.start = None;
             let mut tracker = Tracker::follower(self.config.clone());
             tracker.start(start, map);
             self.backward = Some((tracker, std::mem::take(&mut self.waiting)));
             self.n_failures = 0;
         }
         let (tracker, views) = self.backward.as_mut()?;
-        let Some(view) = views.pop_back() else {
+        let Some(Waiting { view, had_pose }) = views.pop_back() else {
             self.backward = None;
             return None;
         };
@@ -85,7 +103,7 @@ impl Backfill {
                     timestamp_ns: frame.timestamp_ns,
                     state: FrameState::Tracked,
                     pose: frame.pose_in(map),
-                    backfilled: true,
+                    backfilled: !had_pose,
                 })
             }
             _ => {
@@ -98,4 +116,17 @@ impl Backfill {
             }
         }
     }
+}
+
+/// Whether the key frames of the frame's submap are spread widely enough for its depths to be known well.
+fn is_mature(map: &Map, frame: &TrackedFrame, min_baseline_share: f64) -> bool {
+    let in_submap = || map.keyframes().filter(|keyframe| keyframe.submap == frame.submap);
+    let Some(origin) = in_submap().next() else { return false };
+    let Some(median_depth) = map.keyframe(frame.reference).and_then(|reference| median_depth(map, reference)) else {
+        return false;
+    };
+    let origin = origin.camera_from_world.centre();
+    in_submap().any(|other| {
+        (other.camera_from_world.centre() - origin).norm() >= min_baseline_share * median_depth
+    })
 }

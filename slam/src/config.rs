@@ -61,10 +61,13 @@ pub struct InitialisationConfig {
     pub n_features: usize,
     /// Fewest keypoints a usable view has. Default 100.
     pub min_keypoints: usize,
-    /// Views kept to start from, newest first to go when full. Default 30: a second of video.
+    /// Views kept to start from; every second one goes when full. Default 30: a second of video.
     pub max_reference_views: usize,
-    /// Frames without a pose that are kept to be placed afterwards. Default 150: five seconds of video, 25 MB.
+    /// Frames that are kept to be placed once the map is good enough. Default 150: five seconds of video, 25 MB.
     pub max_backfill_views: usize,
+    /// Width of the key frames' positions as a share of the scene's median depth from which a map is good enough to
+    /// place older frames in, and those that were tracked in it while it was younger once more. Default 0.15.
+    pub mature_baseline_share: f64,
     /// Pairs tried per frame: the widest usable baseline and shorter ones. Default 3, to bound the time.
     pub max_attempts_per_frame: usize,
     /// Side of the square a keypoint is looked for in is twice this, pixels at 640 wide. Default 100.
@@ -81,7 +84,7 @@ pub struct InitialisationConfig {
     pub max_runner_up_share: f64,
     /// Least parallax, reached by the widest fiftieth point, degrees. Default 1.0: below it depth is noise.
     pub min_parallax_deg: f64,
-    /// Largest standard deviation of the direction of motion, degrees. Default 2.0: turning and moving sideways look
+    /// Largest standard deviation of the direction of motion, degrees. Default 1.0: turning and moving sideways look
     /// alike over a short baseline, and a map begun on a wrong mixture of the two bends.
     pub max_direction_sigma_deg: f64,
     /// Share of the map's points a view between the two must confirm. Default 0.6.
@@ -95,6 +98,7 @@ impl Default for InitialisationConfig {
             min_keypoints: 100,
             max_reference_views: 30,
             max_backfill_views: 150,
+            mature_baseline_share: 0.15,
             max_attempts_per_frame: 3,
             search_radius_px: 100.0,
             min_matches: 80,
@@ -103,7 +107,7 @@ impl Default for InitialisationConfig {
             min_inlier_share: 0.7,
             max_runner_up_share: 0.8,
             min_parallax_deg: 1.0,
-            max_direction_sigma_deg: 2.0,
+            max_direction_sigma_deg: 1.0,
             min_third_view_share: 0.6,
         }
     }
@@ -178,6 +182,13 @@ impl Default for RelocalisationConfig {
 pub struct KeyframeConfig {
     /// A frame that finds less than this share of what its reference key frame sees is kept. Default 0.9.
     pub max_tracked_share: f64,
+    /// Median way that landmarks must have moved in the image since the last key frame, as a share of its width.
+    /// Default 0.025: views closer than that add work and no parallax.
+    pub min_displacement: f64,
+    /// A frame that finds less than this share is kept after a smaller way. Default 0.6: what is seen changes fast.
+    pub urgent_tracked_share: f64,
+    /// That smaller way, as a share of the image's width. Default 0.015.
+    pub urgent_displacement: f64,
     /// The same share once `max_interval_ns` have gone by. Default 0.97: a slow camera still refreshes the map.
     pub max_tracked_share_after_wait: f64,
     /// Points a key frame must find at least. Default 15: it could not be placed on fewer.
@@ -194,6 +205,9 @@ impl Default for KeyframeConfig {
     fn default() -> Self {
         Self {
             max_tracked_share: 0.9,
+            min_displacement: 0.025,
+            urgent_tracked_share: 0.6,
+            urgent_displacement: 0.015,
             max_tracked_share_after_wait: 0.97,
             min_inliers: 15,
             max_interval_ns: 1_000_000_000,

@@ -110,6 +110,12 @@ impl FrameFeatures {
         self.pyramid.scale(self.keypoints[feature_idx].octave)
     }
 
+    /// Width of the undistorted image, pixels.
+    #[inline]
+    pub(crate) fn width_px(&self) -> f64 {
+        f64::from(self.bounds.max_x - self.bounds.min_x)
+    }
+
     /// Whether an undistorted pixel lies in the image.
     #[inline]
     pub(crate) fn contains(&self, pixel: &Vector2<f64>) -> bool {

@@ -400,15 +400,16 @@ impl Pipeline {
             frames: std::mem::take(&mut self.unrecorded),
         };
         self.mapping.add_keyframe(new, !self.lossless);
-        self.tracker.became_keyframe(frame.timestamp_ns);
+        self.tracker.became_keyframe(frame);
         true
     }
 
     /// Keeps a frame that has no pose for later, and places one of those kept before.
     fn step_backfill(&mut self, view: &View, verdict: &Verdict) {
         match &verdict.frame {
-            None => self.backfill.keep(view.clone()),
+            None => self.backfill.keep(view, false),
             Some(frame) => {
+                self.backfill.keep(view, true);
                 self.backfill.placed(frame);
                 if let Some(record) = self.backfill.step(&self.map, false) {
                     self.unrecorded.push(record);

@@ -38,7 +38,11 @@ pub(crate) fn refine(
     let length = second_from_first.translation.norm();
     let baseline = BaselineLengthFactor { length, inverse_sigma: 1.0 / (BASELINE_SIGMA * length) };
     problem.add_factors(Kernel::None, [((second,), baseline)]);
-    problem.solve(&SolverOptions { max_iterations: MAX_ITERATIONS, ..SolverOptions::default() }, || false);
+    let options = SolverOptions { max_iterations: MAX_ITERATIONS, ..SolverOptions::default() };
+    problem.solve(&options, || false);
+    // Wrong matches would inflate the noise that is measured next.
+    problem.enable_inliers(group, chi2_95(2));
+    let report = problem.solve(&options, || false);
 
     let agrees = |factor_idx| problem.chi2(group, factor_idx).is_some_and(|chi2| chi2 <= chi2_95(2));
     let refined = variables
@@ -47,9 +51,11 @@ pub(crate) fn refine(
         .map(|(idx, variable)| (agrees(2 * idx) && agrees(2 * idx + 1)).then(|| *problem.value(*variable)))
         .collect();
     let second_from_first = *problem.value(second);
-    let covariance = problem.marginal_covariance(second);
-    let direction_sigma_deg =
-        covariance.map_or(f64::INFINITY, |covariance| direction_sigma_deg(&second_from_first, &covariance));
+    // The covariance is that of the assumed noise; what the residuals show is the image's own.
+    let noise = report.chi2_per_dof().unwrap_or(1.0).sqrt();
+    let direction_sigma_deg = problem
+        .marginal_covariance(second)
+        .map_or(f64::INFINITY, |covariance| noise * direction_sigma_deg(&second_from_first, &covariance));
     RefinedPair { second_from_first, points: refined, direction_sigma_deg }
 }
 

@@ -59,12 +59,21 @@ impl Initialiser {
         }
         let attempt = self.attempt(&view);
         if attempt.is_err() {
-            if self.views.len() == self.config.max_reference_views {
-                self.views.pop_front();
-            }
-            self.views.push_back(view);
+            self.keep(view);
         }
         attempt
+    }
+
+    /// Keeps a view. When there are too many every second one goes, so that a slow camera can still look far back.
+    fn keep(&mut self, view: View) {
+        if self.views.len() >= self.config.max_reference_views {
+            let mut position = 0;
+            self.views.retain(|_| {
+                position += 1;
+                position % 2 == 1
+            });
+        }
+        self.views.push_back(view);
     }
 
     /// Tries pairs from the widest baseline to shorter ones.
@@ -97,8 +106,7 @@ impl Initialiser {
     }
 
     fn matches(&self, first: &View, second: &View) -> Vec<(usize, usize)> {
-        let width = f64::from(first.features.bounds.max_x - first.features.bounds.min_x);
-        let radius_px = self.config.search_radius_px * width / REFERENCE_WIDTH_PX;
+        let radius_px = self.config.search_radius_px * first.features.width_px() / REFERENCE_WIDTH_PX;
         matching::match_views(&first.features, &second.features, radius_px)
     }
 
@@ -122,15 +130,19 @@ impl Initialiser {
         self.confirm(pair)
     }
 
-    /// A view between the two must see the points where the motion puts them.
+    /// A further view must see the points where the motion puts them: one between the two, or else one before them.
     fn confirm(&mut self, pair: InitialPair) -> Result<InitialPair, InitialisationWait> {
-        let between: Vec<&View> = self
-            .views
-            .iter()
-            .filter(|view| view.sequence > pair.first.sequence && view.sequence < pair.second.sequence)
-            .collect();
-        let Some(third) = between.get(between.len() / 2) else { return Ok(pair) };
+        let inside = |view: &&View| view.sequence > pair.first.sequence && view.sequence < pair.second.sequence;
+        let between: Vec<&View> = self.views.iter().filter(inside).collect();
+        let before = self.views.iter().rev().find(|view| view.sequence < pair.first.sequence);
+        let Some(third) = between.get(between.len() / 2).copied().or(before) else {
+            return Err(InitialisationWait::FirstView);
+        };
         let (n_confirmed, n_looked_for) = third_view::confirm(&pair, third, &self.config, &mut self.rng);
+        if std::env::var("DBG").is_ok() { eprintln!("  third {} confirmed {} of {} ; of points {}", third.sequence, n_confirmed, n_looked_for, pair.points.len());
+        let mut d: Vec<f64> = pair.points.iter().map(|p| p.2.z).collect(); d.sort_by(f64::total_cmp);
+        eprintln!("  depths min {:.3} p10 {:.2} p90 {:.2} max {:.2} t {:?}", d[0], d[d.len()/10], d[d.len()*9/10], d[d.len()-1], pair.second_from_first.translation);
+        }
         if (n_confirmed as f64) < self.config.min_third_view_share * n_looked_for as f64 {
             let (n_agreeing, n_matches) = (n_confirmed, n_looked_for);
             return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });

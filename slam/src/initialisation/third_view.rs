@@ -17,8 +17,7 @@ pub(super) fn confirm(
     rng: &mut ChaCha8Rng,
 ) -> (usize, usize) {
     let features = &third.features;
-    let width = f64::from(features.bounds.max_x - features.bounds.min_x);
-    let radius_px = config.search_radius_px * width / REFERENCE_WIDTH_PX;
+    let radius_px = config.search_radius_px * features.width_px() / REFERENCE_WIDTH_PX;
     let counterparts: BTreeMap<usize, usize> =
         match_views(&pair.first.features, features, radius_px).into_iter().collect();
     let focal_px = features.pinhole.mean_focal_px();

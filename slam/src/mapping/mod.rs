@@ -5,6 +5,8 @@ mod fusion;
 pub(crate) mod stage;
 mod triangulation;
 
+pub(crate) use triangulation::median_depth;
+
 use crate::bundle;
 use crate::config::SlamConfig;
 use crate::map::{FrameRecord, Keyframe, KeyframeId, Map, MapUpdate, Observation, PointId, SubmapId};

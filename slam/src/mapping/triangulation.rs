@@ -4,7 +4,7 @@ use super::neighbours;
 use crate::config::MappingConfig;
 use crate::features::FrameFeatures;
 use crate::map::{Keyframe, KeyframeId, Map, Observation, PointId};
-use geometry::nalgebra::{Matrix3, Vector2, Vector3};
+use geometry::nalgebra::{Matrix3, Vector3};
 use geometry::{Pose, so3, triangulation};
 use optim::chi2_95;
 use vision::matching::{RotationConsistency, STRICT_DISTANCE};
@@ -39,12 +39,22 @@ struct PairSearch<'a> {
     neighbour: &'a Keyframe,
     /// `x_neighbourᵀ F x_current = 0`, pixels.
     fundamental: Matrix3<f64>,
-    /// The current camera's centre as the neighbour sees it, pixels, if it is in front.
-    epipole: Option<Vector2<f64>>,
     neighbour_from_current: Pose,
     /// Depths in the current view between which points are looked for, map units.
     depth_range: (f64, f64),
+    /// The neighbour's keypoints that no landmark explains.
+    free: Vec<FreeKeypoint>,
     config: &'a MappingConfig,
+}
+
+/// A keypoint without a landmark, packed for the scan along epipolar lines.
+#[derive(Clone, Copy)]
+struct FreeKeypoint {
+    x: f32,
+    y: f32,
+    /// Largest squared distance from the line, pixels squared.
+    max_squared_distance: f32,
+    idx: u32,
 }
 
 impl<'a> PairSearch<'a> {
@@ -70,7 +80,21 @@ impl<'a> PairSearch<'a> {
         // Nearer than a tenth of the baseline is behind a finger; farther than the least parallax allows is noise.
         let baseline = centre.norm();
         let depth_range = (0.1 * baseline, baseline / config.min_parallax_deg.to_radians() * 2.0);
-        Some(Self { current, neighbour, fundamental, epipole, neighbour_from_current, depth_range, config })
+        let free = (0..neighbour.features.len())
+            .filter(|idx| neighbour.points[*idx].is_none())
+            .filter_map(|idx| {
+                let pixel = neighbour.features.undistorted[idx];
+                let sigma = neighbour.features.sigma_px(idx);
+                let near_epipole = epipole.is_some_and(|at| (pixel - at).norm() < EPIPOLE_MARGIN_PX * sigma);
+                (!near_epipole).then_some(FreeKeypoint {
+                    x: pixel.x as f32,
+                    y: pixel.y as f32,
+                    max_squared_distance: (chi2_95(1) * sigma * sigma) as f32,
+                    idx: idx as u32,
+                })
+            })
+            .collect();
+        Some(Self { current, neighbour, fundamental, neighbour_from_current, depth_range, free, config })
     }
 
     /// Keypoint of the current view, keypoint of the neighbour, position in the world.
@@ -104,37 +128,27 @@ impl<'a> PairSearch<'a> {
         let descriptor = &self.current.features.descriptors[current_idx];
         let pixel = &self.current.features.undistorted[current_idx];
         let line = self.fundamental * Vector3::new(pixel.x, pixel.y, 1.0);
-        let inverse_norm = 1.0 / line.xy().norm();
+        let line = line / line.xy().norm();
+        let (a, b, c) = (line.x as f32, line.y as f32, line.z as f32);
         let (mut best, mut second) = ((u32::MAX, usize::MAX), u32::MAX);
-        let mut consider = |idx: u32| {
-            let idx = idx as usize;
-            if self.neighbour.points[idx].is_some() {
-                return;
+        for free in &self.free {
+            let from_line = a * free.x + b * free.y + c;
+            if from_line * from_line > free.max_squared_distance {
+                continue;
             }
-            let distance = descriptor.distance(&self.neighbour.features.descriptors[idx]);
-            if distance > STRICT_DISTANCE || distance >= second {
-                return;
-            }
-            let other = &self.neighbour.features.undistorted[idx];
-            let from_line = (line.x * other.x + line.y * other.y + line.z) * inverse_norm;
-            let sigma = self.neighbour.features.sigma_px(idx);
-            if from_line * from_line > chi2_95(1) * sigma * sigma || self.is_near_epipole(other, sigma) {
-                return;
-            }
+            let distance = descriptor.distance(&self.neighbour.features.descriptors[free.idx as usize]);
             if distance < best.0 {
                 second = best.0;
-                best = (distance, idx);
-            } else {
+                best = (distance, free.idx as usize);
+            } else if distance < second {
                 second = distance;
             }
-        };
-        (0..self.neighbour.features.len() as u32).for_each(&mut consider);
+        }
+        if best.0 > STRICT_DISTANCE {
+            return None;
+        }
         let unique = second == u32::MAX || best.0 as f32 <= self.config.match_ratio * second as f32;
         (best.1 != usize::MAX && unique).then_some(best)
-    }
-
-    fn is_near_epipole(&self, pixel: &Vector2<f64>, sigma: f64) -> bool {
-        self.epipole.is_some_and(|epipole| (pixel - epipole).norm() < EPIPOLE_MARGIN_PX * sigma)
     }
 
     /// The point two keypoints see, if it passes every test.

@@ -3,10 +3,45 @@
 use super::frame::TrackedFrame;
 use super::local_map::n_established_points;
 use crate::config::KeyframeConfig;
-use crate::map::Map;
+use crate::map::{KeyframeId, Map, PointId};
+use geometry::nalgebra::Vector2;
+use std::collections::BTreeMap;
 
 /// A point counts as established when this many key frames see it, or fewer while the map is younger than that.
 const ESTABLISHED_OBSERVATIONS: usize = 3;
+/// Common points below which two views have so little in common that the one is news to the other.
+const MIN_COMMON_POINTS: usize = 15;
+
+/// The last frame that was kept, as the next one is compared with it.
+#[derive(Clone, Debug)]
+pub(super) struct LastKeyframe {
+    timestamp_ns: i64,
+    /// Where its landmarks were, undistorted pixels.
+    pixels: BTreeMap<PointId, Vector2<f64>>,
+}
+
+impl LastKeyframe {
+    pub fn of(frame: &TrackedFrame) -> Self {
+        let seen = frame.points.iter().enumerate();
+        let pixels = seen.filter_map(|(idx, id)| Some(((*id)?, frame.features.undistorted[idx]))).collect();
+        Self { timestamp_ns: frame.timestamp_ns, pixels }
+    }
+
+    /// Median distance that common landmarks moved in the image, as a share of its width; infinite with few in common.
+    fn displacement(&self, frame: &TrackedFrame) -> f64 {
+        let mut moved: Vec<f64> = frame
+            .points
+            .iter()
+            .enumerate()
+            .filter_map(|(idx, id)| Some((self.pixels.get(id.as_ref()?)? - frame.features.undistorted[idx]).norm()))
+            .collect();
+        if moved.len() < MIN_COMMON_POINTS {
+            return f64::INFINITY;
+        }
+        let middle = moved.len() / 2;
+        *moved.select_nth_unstable_by(middle, f64::total_cmp).1 / frame.features.width_px()
+    }
+}
 
 /// Whether the frame sees enough to be placed well and enough that is new to be worth keeping.
 pub(super) fn wants_keyframe(
@@ -14,16 +49,24 @@ pub(super) fn wants_keyframe(
     map: &Map,
     frame: &TrackedFrame,
     n_inliers: usize,
-    last_keyframe_ns: Option<i64>,
+    last: Option<&LastKeyframe>,
     n_since_relocalisation: Option<u64>,
 ) -> bool {
     if n_inliers < config.min_inliers || n_since_relocalisation.is_some_and(|n| n < config.settle_frames) {
         return false;
     }
+    let share = tracked_share(map, frame.reference, n_inliers);
+    let Some(last) = last else { return share < config.max_tracked_share };
+    if frame.timestamp_ns - last.timestamp_ns >= config.max_interval_ns && share < config.max_tracked_share_after_wait {
+        return true;
+    }
+    let displacement = last.displacement(frame);
+    share < config.max_tracked_share && displacement > config.min_displacement
+        || share < config.urgent_tracked_share && displacement > config.urgent_displacement
+}
+
+/// Inliers as a share of the established points that the reference key frame sees.
+fn tracked_share(map: &Map, reference: KeyframeId, n_inliers: usize) -> f64 {
     let min_observations = ESTABLISHED_OBSERVATIONS.min(map.n_keyframes());
-    let n_reference = n_established_points(map, frame.reference, min_observations);
-    let share = n_inliers as f64 / n_reference.max(1) as f64;
-    let waited = last_keyframe_ns.is_some_and(|last| frame.timestamp_ns - last >= config.max_interval_ns);
-    // After a long while even a small change is worth a key frame, but a camera at rest is not.
-    share < if waited { config.max_tracked_share_after_wait } else { config.max_tracked_share }
+    n_inliers as f64 / n_established_points(map, reference, min_observations).max(1) as f64
 }

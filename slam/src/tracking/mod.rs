@@ -15,6 +15,7 @@ use crate::features::FrameFeatures;
 use crate::map::{FramePose, KeyframeId, Map, SubmapId};
 use crate::report::{LostReason, TrackingOutcome};
 use frame::TrackedFrame;
+use keyframe_policy::LastKeyframe;
 use geometry::Pose;
 use local_map::LocalMap;
 use relocalisation::Relocaliser;
@@ -48,7 +49,7 @@ pub(crate) struct Tracker {
     last: Option<LastFrame>,
     /// Frames since the camera was last found by relocalisation.
     n_since_relocalisation: Option<u64>,
-    last_keyframe_ns: Option<i64>,
+    last_keyframe: Option<LastKeyframe>,
 }
 
 /// The frame before, as the motion model needs it.
@@ -75,13 +76,13 @@ impl Tracker {
             sightings: Sightings::default(),
             last: None,
             n_since_relocalisation: None,
-            last_keyframe_ns: None,
+            last_keyframe: None,
         }
     }
 
     /// Starts following from a frame whose pose is known.
     pub fn start(&mut self, frame: TrackedFrame, map: &Map) {
-        self.last_keyframe_ns = Some(frame.timestamp_ns);
+        self.last_keyframe = Some(LastKeyframe::of(&frame));
         self.n_since_relocalisation = None;
         self.remember(frame, map, None);
     }
@@ -156,14 +157,14 @@ impl Tracker {
             map,
             frame,
             n_inliers,
-            self.last_keyframe_ns,
+            self.last_keyframe.as_ref(),
             self.n_since_relocalisation,
         )
     }
 
-    /// Notes that the last frame became a key frame, which is its own reference from now on.
-    pub fn became_keyframe(&mut self, timestamp_ns: i64) {
-        self.last_keyframe_ns = Some(timestamp_ns);
+    /// Notes that a frame became a key frame.
+    pub fn became_keyframe(&mut self, frame: &TrackedFrame) {
+        self.last_keyframe = Some(LastKeyframe::of(frame));
     }
 
     /// Points of the last frame, projected to where the motion so far would take them.
