@@ -85,7 +85,7 @@ impl Renderer {
         let texel = self.options.texel;
         let (u, v) = ((hit.uv.x / texel) as f32, (hit.uv.y / texel) as f32);
         let footprint = crate::texture::Footprint::new([1.0, 0.0, 0.0, 1.0]);
-        f64::from(self.texture(hit.surface).sample(u, v, &footprint))
+        f64::from(self.texture(hit.surface).sample(&[u], &[v], &footprint)[0])
     }
 
     /// Noise-free grey levels, row-major.
@@ -118,6 +118,6 @@ impl Renderer {
         let mut rng = stream(surface.seed, "paint");
         let canvas = surface.material.paint((surface.size.x, surface.size.y), self.options.texel, &mut rng);
         let light = lighting::LightMap::new(&self.world, surface);
-        MipTexture::new(canvas.width, light.lit(&canvas, &mut rng))
+        MipTexture::new(canvas.width, &light.lit(&canvas, &mut rng))
     }
 }

@@ -17,6 +17,9 @@ pub(crate) struct RayTable {
     pub corner_x: Vec<f32>,
     pub corner_y: Vec<f32>,
     pub corner_z: Vec<f32>,
+    /// Cones of tiles, and of blocks, row-major.
+    tile_cones: Vec<Option<Cone>>,
+    block_cones: Vec<Option<Cone>>,
 }
 
 /// All unit rays within an angle of an axis.
@@ -42,7 +45,29 @@ impl RayTable {
                 corner_z.push(ray.z as f32);
             }
         }
-        Self { stride, rows, corner_x, corner_y, corner_z }
+        let (tile_cones, block_cones) = (Vec::new(), Vec::new());
+        let mut table = Self { stride, rows, corner_x, corner_y, corner_z, tile_cones, block_cones };
+        table.tile_cones = table.cones_of(TILE);
+        table.block_cones = table.cones_of(BLOCK * TILE);
+        table
+    }
+
+    /// The cone of tile `(tile_x, tile_y)`; `None` if it has no rays.
+    #[inline]
+    pub fn tile_cone(&self, tile_x: usize, tile_y: usize) -> Option<&Cone> {
+        self.tile_cones[tile_y * (self.stride / TILE) + tile_x].as_ref()
+    }
+
+    /// The cone of the block whose first tile is `(tile_x, tile_y)`, both multiples of [`BLOCK`].
+    #[inline]
+    pub fn block_cone(&self, tile_x: usize, tile_y: usize) -> Option<&Cone> {
+        let blocks_across = (self.stride / TILE).div_ceil(BLOCK);
+        self.block_cones[tile_y / BLOCK * blocks_across + tile_x / BLOCK].as_ref()
+    }
+
+    fn cones_of(&self, size: usize) -> Vec<Option<Cone>> {
+        let origins = |n: usize| (0..n).step_by(size);
+        origins(self.rows).flat_map(|y| origins(self.stride).map(move |x| self.cone(x, y, size))).collect()
     }
 
     #[inline]
@@ -52,7 +77,7 @@ impl RayTable {
     }
 
     /// The cone of the pixels whose top left corners lie in a rectangle of corners. `None` if it has no rays.
-    pub fn cone(&self, x0: usize, y0: usize, size: usize) -> Option<Cone> {
+    fn cone(&self, x0: usize, y0: usize, size: usize) -> Option<Cone> {
         let (x1, y1) = ((x0 + size).min(self.stride - 1), (y0 + size).min(self.rows - 1));
         let step = if size > TILE { 4 } else { 1 };
         let rays =

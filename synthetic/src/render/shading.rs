@@ -56,10 +56,21 @@ pub(crate) fn shade_band(renderer: &Renderer, frame: &FrameFaces, first_row: usi
 /// Pixels that show one face each, and all the same one.
 fn plain_run(rays: &RayTable, face: &FaceView, texture: &MipTexture, x: usize, y: usize, line: &mut [f32]) {
     let footprint = footprint(rays, face, x + line.len() / 2, y);
-    for (i, pixel) in line.iter_mut().enumerate() {
-        let (u, v) = face.texture_coordinates(inside_pixel(rays, x + i, y, 0.5, 0.5));
-        *pixel = texture.sample(u, v, &footprint);
-    }
+    // All rays of a whole run at once, though the run may be shorter: arrays of fixed length are vectorised,
+    // and the table's padding lies behind the last row.
+    let from = y * rays.stride + x;
+    let centres = |table: &[f32]| -> [f32; RUN] {
+        let (upper, lower) = (&table[from..][..RUN + 1], &table[from + rays.stride..][..RUN + 1]);
+        std::array::from_fn(|i| 0.25 * ((upper[i] + upper[i + 1]) + (lower[i] + lower[i + 1])))
+    };
+    let (rx, ry, rz) = (centres(&rays.corner_x), centres(&rays.corner_y), centres(&rays.corner_z));
+    let along =
+        |[a, b, c]: [f32; 3]| -> [f32; RUN] { std::array::from_fn(|i| a * rx[i] + b * ry[i] + c * rz[i]) };
+    let (w, u, v) = (along(face.inverse_depth), along(face.u_axis), along(face.v_axis));
+    let depth: [f32; RUN] = std::array::from_fn(|i| 1.0 / w[i]);
+    let u: [f32; RUN] = std::array::from_fn(|i| u[i] * depth[i] - face.u_offset);
+    let v: [f32; RUN] = std::array::from_fn(|i| v[i] * depth[i] - face.v_offset);
+    line.copy_from_slice(&texture.sample(&u, &v, &footprint)[..line.len()]);
 }
 
 /// A pixel that shows several faces, or a face and nothing: the mean over its sub-samples, where each face is
@@ -98,7 +109,7 @@ fn mixed_pixel<'a>(
         }
         let face = &frame.faces[usize::from(id)];
         let (u, v) = face.texture_coordinates(inside_pixel(rays, x, y, fx / n, fy / n));
-        sum += n * texture_of(id).sample(u, v, &footprint(rays, face, x, y));
+        sum += n * texture_of(id).sample(&[u], &[v], &footprint(rays, face, x, y))[0];
     }
     sum / SUB_SAMPLES.len() as f32
 }

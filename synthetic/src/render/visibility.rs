@@ -149,12 +149,13 @@ impl VisibilityMap {
         };
         let all: Vec<u16> = (0..frame.faces.len() as u16).collect();
         let mut in_block = Vec::new();
-        for block_y in (first_tile_row..end_tile_row).step_by(BLOCK) {
+        let first_block_row = first_tile_row / BLOCK * BLOCK;
+        for block_y in (first_block_row..end_tile_row).step_by(BLOCK) {
             for block_x in (0..tiles_across).step_by(BLOCK) {
-                let Some(cone) = rays.cone(block_x * TILE, block_y * TILE, BLOCK * TILE) else { continue };
-                frame.within(&cone, &all, &mut in_block);
+                let Some(cone) = rays.block_cone(block_x, block_y) else { continue };
+                frame.within(cone, &all, &mut in_block);
                 let among: Vec<u16> = in_block.iter().map(|candidate| candidate.index).collect();
-                for tile_y in block_y..(block_y + BLOCK).min(end_tile_row) {
+                for tile_y in block_y.max(first_tile_row)..(block_y + BLOCK).min(end_tile_row) {
                     for tile_x in block_x..(block_x + BLOCK).min(tiles_across) {
                         map.decide_tile(rays, frame, &among, tile_x, tile_y);
                     }
@@ -184,9 +185,9 @@ impl VisibilityMap {
         tile_y: usize,
     ) {
         let (x0, y0) = (tile_x * TILE, tile_y * TILE);
-        let Some(cone) = rays.cone(x0, y0, TILE) else { return };
+        let Some(cone) = rays.tile_cone(tile_x, tile_y) else { return };
         let mut found = Vec::new();
-        frame.within(&cone, among, &mut found);
+        frame.within(cone, among, &mut found);
         let start = self.candidates.len() as u32;
         self.candidates.extend(found.iter().map(|candidate| candidate.index));
         let row_of_tile = tile_y - self.first_tile_row;

@@ -5,26 +5,32 @@ pub(crate) struct MipTexture {
     levels: Vec<Level>,
 }
 
+/// Rows have one texel more than `width`, and there is one row more than `height`: both repeat the last, so that
+/// every texel has a right and a lower neighbour.
 struct Level {
     width: usize,
     height: usize,
-    pixels: Vec<u8>,
+    padded: Vec<u8>,
 }
 
-/// How a pixel's footprint on the texture is averaged: `n_taps` look-ups along its longer axis.
+/// How a pixel's footprint on the texture is averaged: `n_taps` look-ups along its longer axis, each in one
+/// level or two.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Footprint {
-    /// Level of detail; 0 is the finest, fractions blend two levels.
-    pub level: f32,
-    /// Number of look-ups.
-    pub n_taps: u32,
+    /// The finer level.
+    level: usize,
+    /// Weight of the coarser level.
+    coarse_share: f32,
+    n_taps: u32,
     /// Step between look-ups, in finest texels.
-    pub step_u: f32,
-    pub step_v: f32,
+    step_u: f32,
+    step_v: f32,
 }
 
 /// More look-ups than this cost more than the sharpness at grazing angles is worth.
-const MAX_TAPS: f32 = 6.0;
+const MAX_TAPS: f32 = 5.0;
+/// Two levels are blended over this part of the way between them; elsewhere one look-up is enough.
+const BLEND_SPAN: f32 = 0.5;
 
 impl Footprint {
     /// From the derivatives of texture coordinates by pixel coordinates: `[du_dx, dv_dx, du_dy, dv_dy]`.
@@ -37,64 +43,65 @@ impl Footprint {
         let major = (half_trace + root).sqrt().max(1e-6);
         let minor = (half_trace - root).max(0.0).sqrt();
         let n_taps = (major / minor.max(1.0)).ceil().clamp(1.0, MAX_TAPS);
-        let level = (major / n_taps).log2().max(0.0);
+        let between = (major / n_taps).log2().max(0.0);
+        let level = between as usize;
+        let coarse_share = ((between - level as f32 - 0.5) / BLEND_SPAN + 0.5).clamp(0.0, 1.0);
         if n_taps == 1.0 {
-            return Self { level, n_taps: 1, step_u: 0.0, step_v: 0.0 };
+            return Self { level, coarse_share, n_taps: 1, step_u: 0.0, step_v: 0.0 };
         }
         let (axis_u, axis_v) =
             if uu >= vv { (uu - vv + 2.0 * root, 2.0 * uv) } else { (2.0 * uv, vv - uu + 2.0 * root) };
         let scale = major / (n_taps * axis_u.hypot(axis_v).max(1e-12));
-        Self { level, n_taps: n_taps as u32, step_u: axis_u * scale, step_v: axis_v * scale }
+        Self { level, coarse_share, n_taps: n_taps as u32, step_u: axis_u * scale, step_v: axis_v * scale }
     }
 }
 
 impl MipTexture {
     /// Halves `pixels` (row-major, `width` wide) until one texel is left in a direction.
-    pub fn new(width: usize, pixels: Vec<u8>) -> Self {
-        let height = pixels.len() / width;
-        let mut levels = vec![Level { width, height, pixels }];
+    pub fn new(width: usize, pixels: &[u8]) -> Self {
+        let mut levels = vec![Level::padded(width, pixels.chunks_exact(width).map(<[u8]>::to_vec))];
         while let Some(next) = levels[levels.len() - 1].halved() {
             levels.push(next);
         }
         Self { levels }
     }
 
-    /// Mean grey level over a footprint centred at `(u, v)`.
+    /// Mean grey levels over equal footprints centred at `(u[i], v[i])`.
     #[inline]
-    pub fn sample(&self, u: f32, v: f32, footprint: &Footprint) -> f32 {
-        if footprint.n_taps == 1 {
-            return self.trilinear(u, v, footprint.level);
-        }
+    pub fn sample<const N: usize>(&self, u: &[f32; N], v: &[f32; N], footprint: &Footprint) -> [f32; N] {
+        let coarsest = self.levels.len() - 1;
+        let fine = footprint.level.min(coarsest);
+        let coarse_share = if fine < coarsest { footprint.coarse_share } else { 0.0 };
+        let weight = 1.0 / footprint.n_taps as f32;
         let first = -0.5 * (footprint.n_taps - 1) as f32;
-        let mut sum = 0.0;
+        let mut sums = [0.0; N];
         for tap in 0..footprint.n_taps {
             let offset = first + tap as f32;
-            sum +=
-                self.trilinear(u + offset * footprint.step_u, v + offset * footprint.step_v, footprint.level);
+            let u: [f32; N] = std::array::from_fn(|i| u[i] + offset * footprint.step_u);
+            let v: [f32; N] = std::array::from_fn(|i| v[i] + offset * footprint.step_v);
+            if coarse_share < 1.0 {
+                self.levels[fine].add_bilinear(
+                    &u,
+                    &v,
+                    LEVEL_SCALE[fine],
+                    weight * (1.0 - coarse_share),
+                    &mut sums,
+                );
+            }
+            if coarse_share > 0.0 {
+                let (level, scale) = (&self.levels[fine + 1], LEVEL_SCALE[fine + 1]);
+                level.add_bilinear(&u, &v, scale, weight * coarse_share, &mut sums);
+            }
         }
-        sum / footprint.n_taps as f32
-    }
-
-    #[inline]
-    fn trilinear(&self, u: f32, v: f32, level: f32) -> f32 {
-        let coarsest = self.levels.len() - 1;
-        let below = (level as usize).min(coarsest);
-        let scale = LEVEL_SCALE[below];
-        let fine = self.levels[below].bilinear(u * scale, v * scale);
-        let share = level - below as f32;
-        if share < 0.02 || below == coarsest {
-            return fine;
-        }
-        let coarse = self.levels[below + 1].bilinear(0.5 * u * scale, 0.5 * v * scale);
-        fine + (coarse - fine) * share
+        sums
     }
 }
 
-/// `2^-level`.
-const LEVEL_SCALE: [f32; 20] = {
-    let mut scales = [1.0; 20];
+/// `2^-level`, for more levels than a texture that fits into memory can have.
+const LEVEL_SCALE: [f32; 32] = {
+    let mut scales = [1.0; 32];
     let mut level = 1;
-    while level < 20 {
+    while level < 32 {
         scales[level] = 0.5 * scales[level - 1];
         level += 1;
     }
@@ -102,36 +109,61 @@ const LEVEL_SCALE: [f32; 20] = {
 };
 
 impl Level {
+    fn padded(width: usize, rows: impl Iterator<Item = Vec<u8>>) -> Self {
+        let (mut padded, mut height) = (Vec::new(), 0);
+        for row in rows {
+            padded.extend_from_slice(&row);
+            padded.push(row[width - 1]);
+            height += 1;
+        }
+        padded.extend_from_within((height - 1) * (width + 1)..);
+        Self { width, height, padded }
+    }
+
+    fn row(&self, y: usize) -> &[u8] {
+        &self.padded[y * (self.width + 1)..][..self.width]
+    }
+
     fn halved(&self) -> Option<Self> {
         let (width, height) = (self.width / 2, self.height / 2);
         if width == 0 || height == 0 {
             return None;
         }
-        let mut pixels = Vec::with_capacity(width * height);
-        for row in 0..height {
-            let upper = &self.pixels[2 * row * self.width..][..2 * width];
-            let lower = &self.pixels[(2 * row + 1) * self.width..][..2 * width];
-            for (a, b) in upper.chunks_exact(2).zip(lower.chunks_exact(2)) {
+        let rows = (0..height).map(|y| {
+            let (upper, lower) = (self.row(2 * y).chunks_exact(2), self.row(2 * y + 1).chunks_exact(2));
+            let mean = |(a, b): (&[u8], &[u8])| {
                 let sum = u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]);
-                pixels.push(((sum + 2) / 4) as u8);
-            }
-        }
-        Some(Self { width, height, pixels })
+                ((sum + 2) / 4) as u8
+            };
+            upper.zip(lower).map(mean).collect()
+        });
+        Some(Self::padded(width, rows))
     }
 
-    /// Coordinates in this level's texels, from the corner; clamped to the edge.
+    /// Adds `weight` times the grey levels at `(u[i], v[i]) * scale`, clamped to the edge.
     #[inline]
-    fn bilinear(&self, u: f32, v: f32) -> f32 {
-        let x = (u - 0.5).clamp(0.0, (self.width - 1) as f32);
-        let y = (v - 0.5).clamp(0.0, (self.height - 1) as f32);
-        let (x0, y0) = (x as usize, y as usize);
-        let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-        let x1 = (x0 + 1).min(self.width - 1);
-        let upper = &self.pixels[y0 * self.width..][..self.width];
-        let lower = &self.pixels[(y0 + 1).min(self.height - 1) * self.width..][..self.width];
-        let [a, b, c, d] = [upper[x0], upper[x1], lower[x0], lower[x1]].map(f32::from);
-        let top = a + (b - a) * fx;
-        let bottom = c + (d - c) * fx;
-        top + (bottom - top) * fy
+    fn add_bilinear<const N: usize>(
+        &self,
+        u: &[f32; N],
+        v: &[f32; N],
+        scale: f32,
+        weight: f32,
+        sums: &mut [f32; N],
+    ) {
+        let (right, bottom) = ((self.width - 1) as f32, (self.height - 1) as f32);
+        let x: [f32; N] = std::array::from_fn(|i| (u[i] * scale - 0.5).max(0.0).min(right));
+        let y: [f32; N] = std::array::from_fn(|i| (v[i] * scale - 0.5).max(0.0).min(bottom));
+        let x0 = x.map(|x| x as i32);
+        let y0 = y.map(|y| y as i32);
+        let stride = self.width + 1;
+        for i in 0..N {
+            let at = y0[i] as usize * stride + x0[i] as usize;
+            let (upper, lower) = (&self.padded[at..at + 2], &self.padded[at + stride..at + stride + 2]);
+            let (fx, fy) = (x[i] - x0[i] as f32, y[i] - y0[i] as f32);
+            let [a, b, c, d] = [upper[0], upper[1], lower[0], lower[1]].map(f32::from);
+            let top = a + (b - a) * fx;
+            let below = c + (d - c) * fx;
+            sums[i] += weight * (top + (below - top) * fy);
+        }
     }
 }
