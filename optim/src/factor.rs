@@ -223,6 +223,7 @@ impl_variables!(3; 0 A NA, 1 B NB, 2 C NC; (0, 0, 1), (1, 0, 2), (2, 1, 2));
 /// A factor of two variables whose second one is held at a given value, leaving one to the first.
 ///
 /// Turns a bundle-adjustment factor of pose and landmark into one of the pose alone.
+#[derive(Clone, Copy, Debug)]
 pub struct HoldSecond<F, B> {
     /// The factor of two variables.
     pub factor: F,

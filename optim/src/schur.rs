@@ -128,8 +128,12 @@ impl Schur<'_> {
                     let variable = self.reduced[member.reduced as usize];
                     let x = &self.step[variable.gradient..][..variable.dim];
                     let e = &self.blocks[member.cross as usize..][..variable.dim * N];
-                    for (column, entry) in e.chunks_exact(variable.dim).zip(sum.iter_mut()) {
-                        *entry -= column.iter().zip(x).map(|(e, x)| e * x).sum::<f64>();
+                    if variable.dim == 6 {
+                        subtract_transposed::<6, N>(&mut sum, e, x);
+                    } else {
+                        for (column, entry) in e.chunks_exact(variable.dim).zip(sum.iter_mut()) {
+                            *entry -= column.iter().zip(x).map(|(e, x)| e * x).sum::<f64>();
+                        }
                     }
                 }
                 sum = solve_lower_transposed(&lower, &solve_lower(&lower, &sum));
@@ -139,7 +143,7 @@ impl Schur<'_> {
     }
 
     /// Cholesky factor of a landmark's damped block, its diagonal inverted; `None` when it is singular.
-    #[inline]
+    #[inline(always)]
     fn factor<const N: usize>(&self, landmark: &Landmark) -> Option<SMatrix<f64, N, N>> {
         let mut c = SMatrix::<f64, N, N>::from_column_slice(&self.blocks[landmark.diagonal..][..N * N]);
         for k in 0..N {
@@ -212,10 +216,10 @@ fn scale_columns<const D: usize, const N: usize>(
         for i in 0..D {
             let mut entry = e[(i, k)];
             for j in 0..k {
-                entry -= scaled[(i, j)] * lower[(k, j)];
+                entry = multiply_add(-scaled[(i, j)], lower[(k, j)], entry);
             }
             scaled[(i, k)] = entry * lower[(k, k)];
-            sum[i] += scaled[(i, k)] * y[k];
+            sum[i] = multiply_add(scaled[(i, k)], y[k], sum[i]);
         }
     }
     f.copy_from_slice(scaled.as_slice());
@@ -243,6 +247,19 @@ fn scale_columns_any<const N: usize>(
     }
 }
 
+/// `sum −= Eᵀ x` for a block of `D` rows.
+#[inline(always)]
+fn subtract_transposed<const D: usize, const N: usize>(sum: &mut SVector<f64, N>, e: &[f64], x: &[f64]) {
+    let (e, x) = (&e[..D * N], &x[..D]);
+    for k in 0..N {
+        let mut product = 0.0;
+        for i in 0..D {
+            product = multiply_add(e[k * D + i], x[i], product);
+        }
+        sum[k] -= product;
+    }
+}
+
 /// `block −= fb faᵀ`, the block being `rows x columns`; fast for poses.
 #[inline(always)]
 fn subtract<const N: usize>(block: &mut [f64], fb: &[f64], fa: &[f64], rows: usize, columns: usize) {
@@ -260,17 +277,26 @@ fn subtract<const N: usize>(block: &mut [f64], fb: &[f64], fa: &[f64], rows: usi
     }
 }
 
+/// [`subtract`] for blocks of fixed size: one column at a time stays in registers.
 #[inline(always)]
 fn subtract_fixed<const R: usize, const C: usize, const N: usize>(block: &mut [f64], fb: &[f64], fa: &[f64]) {
-    let block = &mut block[..R * C];
-    let (fb, fa) = (&fb[..R * N], &fa[..C * N]);
-    for column in 0..C {
-        for row in 0..R {
-            let mut sum = block[column * R + row];
-            for k in 0..N {
-                sum -= fb[k * R + row] * fa[k * C + column];
+    let fb: [[f64; R]; N] = std::array::from_fn(|k| std::array::from_fn(|row| fb[..R * N][k * R + row]));
+    let fa = &fa[..C * N];
+    let (columns, _) = block[..R * C].as_chunks_mut::<R>();
+    for (index, column) in columns.iter_mut().enumerate() {
+        let mut sum = *column;
+        for k in 0..N {
+            let scale = -fa[k * C + index];
+            for row in 0..R {
+                sum[row] = multiply_add(fb[k][row], scale, sum[row]);
             }
-            block[column * R + row] = sum;
         }
+        *column = sum;
     }
+}
+
+/// `a b + c`, fused where the processor can: elsewhere `mul_add` would be a slow library call.
+#[inline(always)]
+pub(crate) fn multiply_add(a: f64, b: f64, c: f64) -> f64 {
+    if cfg!(target_feature = "fma") { a.mul_add(b, c) } else { a * b + c }
 }

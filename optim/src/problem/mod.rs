@@ -5,7 +5,7 @@ mod normal;
 mod store;
 mod structure;
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 pub use group::{Cost, GroupId, INVALID_CHI2};
 pub use normal::NormalEquations;
@@ -165,9 +165,10 @@ impl Problem {
         covariance.iter().all(|entry| entry.is_finite()).then_some(covariance)
     }
 
-    /// The whole undamped Hessian `Σ w Jᵀ J` at the current values, reduced variables first, then landmarks,
-    /// each in the order in which its type appeared and then of its id. For small problems, to be examined.
-    pub fn dense_hessian(&mut self) -> DMatrix<f64> {
+    /// The whole undamped Hessian `Σ w Jᵀ J` and gradient `Σ w Jᵀ r` of the free variables at the current
+    /// values: reduced ones first, then landmarks, each in the order in which its type appeared and then of its
+    /// id. For small problems, to be examined.
+    pub fn dense_normal_equations(&mut self) -> (DMatrix<f64>, DVector<f64>) {
         self.ensure_system(LinearSolver::Auto);
         self.linearize();
         let LinearSystem { structure, normal, .. } = self.system.as_ref().expect("ensured above");
@@ -197,7 +198,7 @@ impl Problem {
                 }
             }
         }
-        hessian
+        (hessian, DVector::from_column_slice(&normal.gradient))
     }
 
     fn check(&self, variables: [Option<VariableRef>; 3]) {

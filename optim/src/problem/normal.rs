@@ -2,6 +2,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
+use crate::schur::multiply_add;
+
 use super::store::{NO_SLOT, VariableSlot};
 
 /// Set on a pair's offset when the block is stored as (second member) x (first member).
@@ -45,7 +47,7 @@ impl NormalEquations {
         let gradient = &mut self.gradient[slot.gradient as usize..][..N];
         for (column, sum) in gradient.iter_mut().enumerate() {
             for row in 0..R {
-                *sum += weighted[(row, column)] * residual[row];
+                *sum = multiply_add(weighted[(row, column)], residual[row], *sum);
             }
         }
         add_product(&mut self.blocks, slot.diagonal, weighted, jacobian);
@@ -78,14 +80,15 @@ fn add_product<const R: usize, const NA: usize, const NB: usize>(
     a: &SMatrix<f64, R, NA>,
     b: &SMatrix<f64, R, NB>,
 ) {
-    let block = &mut blocks[offset as usize..][..NA * NB];
-    for column in 0..NB {
-        for row in 0..NA {
-            let mut sum = 0.0;
-            for k in 0..R {
-                sum += a[(k, row)] * b[(k, column)];
+    let (columns, _) = blocks[offset as usize..][..NA * NB].as_chunks_mut::<NA>();
+    for (index, column) in columns.iter_mut().enumerate() {
+        let mut sum = *column;
+        for k in 0..R {
+            let scale = b[(k, index)];
+            for row in 0..NA {
+                sum[row] = multiply_add(a[(k, row)], scale, sum[row]);
             }
-            block[column * NA + row] += sum;
         }
+        *column = sum;
     }
 }

@@ -84,6 +84,7 @@ pub struct VariableSlot {
 impl VariableSlot {
     pub(crate) const FIXED: Self = Self { gradient: NO_SLOT, diagonal: NO_SLOT };
 
+    #[inline(always)]
     pub(crate) fn is_fixed(self) -> bool {
         self.gradient == NO_SLOT
     }
