@@ -80,8 +80,9 @@ pub struct InitialisationConfig {
     pub min_points: usize,
     /// Share of the matches that must agree with the motion found. Default 0.7.
     pub min_inlier_share: f64,
-    /// A second motion that explains this share of what the best explains makes the pair ambiguous. Default 0.8.
-    pub max_runner_up_share: f64,
+    /// A second motion whose cost over all matches is below this many times the best one's makes the pair ambiguous.
+    /// Default 1.3.
+    pub min_runner_up_cost_ratio: f64,
     /// Least parallax, reached by the widest fiftieth point, degrees. Default 1.0: below it depth is noise.
     pub min_parallax_deg: f64,
     /// Largest standard deviation of the direction of motion, degrees. Default 1.0: turning and moving sideways look
@@ -105,7 +106,7 @@ impl Default for InitialisationConfig {
             max_iterations: 300,
             min_points: 50,
             min_inlier_share: 0.7,
-            max_runner_up_share: 0.8,
+            min_runner_up_cost_ratio: 1.3,
             min_parallax_deg: 1.0,
             max_direction_sigma_deg: 1.0,
             min_third_view_share: 0.6,

@@ -6,7 +6,6 @@ mod third_view;
 mod two_view;
 
 use crate::bundle;
-use crate::bundle::factors::PointReprojectionFactor;
 use crate::config::InitialisationConfig;
 use crate::features::FrameFeatures;
 use crate::report::InitialisationWait;
@@ -119,7 +118,10 @@ impl Initialiser {
         let motion = two_view::solve(&first.features, &second.features, &matches, &self.config, &mut self.rng)?;
         let (pair, direction_sigma_deg) = refine(first, second, &matches, &motion);
         let n_agreeing = pair.points.len();
-        if std::env::var("DBG").is_ok() { eprintln!("pair {} {} matches {} agreeing {} parallax {:.2} sigma {:.2}", first.sequence, second.sequence, n_matches, n_agreeing, motion.parallax_deg, direction_sigma_deg); }
+        if std::env::var("DBG").is_ok() { use std::io::Write;
+            let mut f = std::fs::File::create(format!("/tmp/out/m_{}_{}.txt", first.sequence, second.sequence)).unwrap();
+            for (a,b) in &matches { let (p,q)=(first.features.undistorted[*a], second.features.undistorted[*b]); writeln!(f, "{} {} {} {} {}", p.x,p.y,q.x,q.y, first.features.keypoints[*a].octave).unwrap(); }
+            eprintln!("pair {} {} matches {} agreeing {} parallax {:.2} sigma {:.2}", first.sequence, second.sequence, n_matches, n_agreeing, motion.parallax_deg, direction_sigma_deg); }
         if direction_sigma_deg > self.config.max_direction_sigma_deg {
             let required_deg = self.config.max_direction_sigma_deg;
             return Err(InitialisationWait::UncertainMotion { direction_sigma_deg, required_deg });
@@ -167,17 +169,11 @@ fn more_telling(a: InitialisationWait, b: InitialisationWait) -> InitialisationW
 /// Bundle adjustment of the two views, points that disagree left out, and the median depth as the unit of length. Also returns
 /// the standard deviation of the direction of motion, degrees.
 fn refine(first: &View, second: &View, matches: &[(usize, usize)], motion: &TwoViewMotion) -> (InitialPair, f64) {
-    let factor = |features: &FrameFeatures, feature_idx: usize| PointReprojectionFactor {
-        pinhole: features.pinhole,
-        observed_px: features.undistorted[feature_idx],
-        inverse_sigma: 1.0 / features.sigma_px(feature_idx),
-    };
     let problem: Vec<_> = motion
         .points
         .iter()
         .map(|(match_idx, position)| {
-            let (a, b) = matches[*match_idx];
-            (*position, [factor(&first.features, a), factor(&second.features, b)])
+            (*position, two_view::factors(&first.features, &second.features, matches[*match_idx]))
         })
         .collect();
     let refined = bundle::two_view::refine(motion.second_from_first, &problem);

@@ -1,5 +1,7 @@
-//! The motion between two views from their matches alone, with the choice between a planar and a general scene.
+//! The motion between two views from their matches alone, whether the scene is planar or not.
 
+use crate::bundle;
+use crate::bundle::factors::PointReprojectionFactor;
 use crate::config::InitialisationConfig;
 use crate::features::FrameFeatures;
 use crate::report::InitialisationWait;
@@ -9,10 +11,6 @@ use geometry::{Pinhole, Pose, so3, triangulation, two_view};
 use optim::chi2_95;
 use rand_chacha::ChaCha8Rng;
 
-/// Score of a perfect match, minus its squared errors: the larger of the two models' thresholds. [ALGORITHMS 7.2]
-const SCORE_CEILING: f64 = 5.991;
-/// Share of the planar model in the sum of both scores from which the scene is taken to be planar.
-const PLANAR_SHARE: f64 = 0.45;
 /// A triangulated point must reproject within this, squared standard deviations: two pixels at the finest level.
 const MAX_REPROJECTION_CHI2: f64 = 4.0;
 /// The parallax that counts is that of the point of this rank.
@@ -43,6 +41,10 @@ pub(super) struct TwoViewMotion {
 }
 
 /// Finds the motion, or says why there is none.
+///
+/// Both models give candidates; those that many matches agree with are refined, and the one with the least cost over
+/// all matches wins. A planar scene has two motions that explain it nearly equally well over a short baseline: then
+/// the pair is ambiguous.
 pub(super) fn solve(
     first: &FrameFeatures,
     second: &FrameFeatures,
@@ -53,40 +55,97 @@ pub(super) fn solve(
     let correspondences: Vec<Correspondence> =
         matches.iter().map(|(a, b)| Correspondence::new(first, *a, second, *b)).collect();
     let n_matches = correspondences.len();
+    let candidates = promising(candidate_motions(&correspondences, config, rng), &correspondences);
+    let mut refined: Vec<(f64, TwoViewMotion)> = candidates
+        .iter()
+        .map(|candidate| {
+            let motion = refine(candidate, first, second, matches);
+            let essential = so3::skew(&motion.translation) * motion.rotation_matrix();
+            let cost = correspondences.iter().map(|c| c.squared_sampson(&essential).min(MAX_REPROJECTION_CHI2)).sum();
+            (cost, judge(&motion, &correspondences))
+        })
+        .collect();
+    refined.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut refined = refined.into_iter();
     let nothing = InitialisationWait::Ambiguous { n_agreeing: 0, n_runner_up: 0, n_matches };
-    let motions = candidate_motions(&correspondences, config, rng);
-    let mut judged: Vec<TwoViewMotion> =
-        motions.iter().map(|motion| judge(motion, &correspondences)).collect();
-    judged.sort_by_key(|motion| std::cmp::Reverse(motion.points.len()));
-    let mut judged = judged.into_iter();
-    let best = judged.next().ok_or(nothing)?;
-    // Nearly equal motions are the same motion found twice.
-    let n_runner_up = judged.find(|other| differs(&best, other)).map_or(0, |other| other.points.len());
+    let (best_cost, best) = refined.next().ok_or(nothing)?;
     let n_agreeing = best.points.len();
-    let ambiguous = n_runner_up as f64 > config.max_runner_up_share * n_agreeing as f64;
+    // Nearly equal motions are the same motion found twice.
+    let runner_up = refined.find(|(_, other)| differs(&best.second_from_first, &other.second_from_first));
+    let is_rivalled = runner_up.as_ref().is_some_and(|(cost, _)| *cost < config.min_runner_up_cost_ratio * best_cost);
+    let n_runner_up = runner_up.map_or(0, |(_, other)| other.points.len());
     // Without parallax every motion of the same rotation explains the matches, so that is the reason to give.
     if best.parallax_deg < config.min_parallax_deg {
         let (parallax_deg, required_deg) = (best.parallax_deg, config.min_parallax_deg);
         return Err(InitialisationWait::TooLittleParallax { parallax_deg, required_deg });
     }
-    let too_few = n_agreeing < config.min_points
-        || (n_agreeing as f64) < config.min_inlier_share * n_matches as f64;
-    if ambiguous || too_few {
+    let too_few =
+        n_agreeing < config.min_points || (n_agreeing as f64) < config.min_inlier_share * n_matches as f64;
+    if is_rivalled || too_few {
         return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up, n_matches });
     }
     Ok(best)
 }
 
+/// Candidates that explain at least this share of the matches that the best one explains are refined.
+const PROMISING_SHARE: f64 = 0.5;
+/// Candidates refined at most.
+const MAX_PROMISING: usize = 4;
+/// Points that take part in refining a candidate, evenly picked: enough to tell candidates apart.
+const N_REFINING_POINTS: usize = 200;
 /// Two motions are different hypotheses when they turn or head differently by more than this, radians.
-const DISTINCT_ANGLE: f64 = 0.05;
+const DISTINCT_ANGLE: f64 = 0.1;
 
-fn differs(a: &TwoViewMotion, b: &TwoViewMotion) -> bool {
-    let (a, b) = (&a.second_from_first, &b.second_from_first);
-    so3::angle_between(&a.rotation, &b.rotation) > DISTINCT_ANGLE
-        || a.translation.angle(&b.translation) > DISTINCT_ANGLE
+/// The distinct candidates that many matches agree with, best first.
+fn promising(motions: Vec<Pose>, correspondences: &[Correspondence]) -> Vec<TwoViewMotion> {
+    let mut judged: Vec<TwoViewMotion> = motions.iter().map(|motion| judge(motion, correspondences)).collect();
+    judged.sort_by_key(|motion| std::cmp::Reverse(motion.points.len()));
+    let min_points = judged.first().map_or(0.0, |best| PROMISING_SHARE * best.points.len() as f64);
+    let mut chosen: Vec<TwoViewMotion> = Vec::new();
+    for motion in judged.into_iter().filter(|motion| motion.points.len() as f64 >= min_points) {
+        let is_new = chosen.iter().all(|other| differs(&motion.second_from_first, &other.second_from_first));
+        if is_new && chosen.len() < MAX_PROMISING {
+            chosen.push(motion);
+        }
+    }
+    chosen
 }
 
-/// Motions that the better of the two models allows.
+fn differs(a: &Pose, b: &Pose) -> bool {
+    so3::angle_between(&a.rotation, &b.rotation) > DISTINCT_ANGLE || a.translation.angle(&b.translation) > DISTINCT_ANGLE
+}
+
+/// The motion after bundle adjustment of some of its points.
+fn refine(
+    motion: &TwoViewMotion,
+    first: &FrameFeatures,
+    second: &FrameFeatures,
+    matches: &[(usize, usize)],
+) -> Pose {
+    let step = motion.points.len().div_ceil(N_REFINING_POINTS).max(1);
+    let problem: Vec<_> = motion
+        .points
+        .iter()
+        .step_by(step)
+        .map(|(match_idx, position)| (*position, factors(first, second, matches[*match_idx])))
+        .collect();
+    unit_baseline(bundle::two_view::refine(motion.second_from_first, &problem).second_from_first)
+}
+
+/// The factors of a match in the two views.
+pub(super) fn factors(
+    first: &FrameFeatures,
+    second: &FrameFeatures,
+    (first_idx, second_idx): (usize, usize),
+) -> [PointReprojectionFactor; 2] {
+    [(first, first_idx), (second, second_idx)].map(|(features, feature_idx)| PointReprojectionFactor {
+        pinhole: features.pinhole,
+        observed_px: features.undistorted[feature_idx],
+        inverse_sigma: 1.0 / features.sigma_px(feature_idx),
+    })
+}
+
+/// Motions that either model allows: which of them the scene wants shows in their costs.
 fn candidate_motions(
     correspondences: &[Correspondence],
     config: &InitialisationConfig,
@@ -99,20 +158,12 @@ fn candidate_motions(
     };
     let general = ransac(&EssentialEstimator { correspondences }, &search(chi2_95(1)), rng);
     let planar = ransac(&HomographyEstimator { correspondences }, &search(chi2_95(2)), rng);
-    let score = |residual: &dyn Fn(&Correspondence) -> f64, threshold: f64| -> f64 {
-        let squared = correspondences.iter().map(residual);
-        squared.filter(|squared| *squared < threshold).map(|squared| SCORE_CEILING - squared).sum()
-    };
-    let general_score =
-        general.as_ref().map_or(0.0, |found| score(&|c| c.squared_sampson(&found.model), chi2_95(1)));
-    let planar_score =
-        planar.as_ref().map_or(0.0, |found| score(&|c| c.squared_transfer(&found.model), chi2_95(2)));
-    let planar_share = planar_score / (planar_score + general_score).max(f64::MIN_POSITIVE);
     let mut motions = Vec::new();
-    if let Some(found) = planar.filter(|_| planar_share > PLANAR_SHARE) {
-        motions.extend(two_view::decompose_homography(&found.model.h).into_iter().map(|(pose, _)| unit_baseline(pose)));
-    } else if let Some(found) = general {
+    if let Some(found) = general {
         motions.extend(two_view::decompose_essential(&found.model).into_iter().flatten().map(unit_baseline));
+    }
+    if let Some(found) = planar {
+        motions.extend(two_view::decompose_homography(&found.model.h).into_iter().map(|(pose, _)| unit_baseline(pose)));
     }
     motions.retain(Pose::is_finite);
     motions
@@ -213,6 +264,15 @@ impl Estimator for EssentialEstimator<'_> {
 
     fn squared_residual(&self, essential: &Matrix3<f64>, datum: usize) -> f64 {
         self.correspondences[datum].squared_sampson(essential)
+    }
+
+    fn refine(&self, _: &Matrix3<f64>, inliers: &[usize]) -> Option<Matrix3<f64>> {
+        let mut models = Vec::new();
+        self.fit_sample(inliers, &mut models);
+        let cost = |model: &Matrix3<f64>| -> f64 {
+            inliers.iter().map(|idx| self.correspondences[*idx].squared_sampson(model).min(chi2_95(1))).sum()
+        };
+        models.into_iter().map(|model| (cost(&model), model)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, model)| model)
     }
 }
 
