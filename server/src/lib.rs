@@ -1,1 +1,34 @@
-//! See ARCHITECTURE.md.
+//! Monocular SLAM as a service: sessions over gRPC and HTTP, kept in a database as they are made.
+//!
+//! [`Server::start`] runs a server inside this process, [`Config`] says how, and [`Service`] is what both interfaces
+//! call: the modules [`grpc`] and [`rest`] decode, call it and encode. The sessions themselves live in [`session`],
+//! each on a thread of its own.
+//!
+//! ```no_run
+//! # async fn example() -> anyhow::Result<()> {
+//! let running = server::Server::start(server::Config::local("data")).await?;
+//! println!("gRPC on {}, HTTP on {}", running.grpc_addr, running.http_addr);
+//! running.shutdown().await;
+//! # Ok(())
+//! # }
+//! ```
+
+mod clock;
+mod config;
+mod error;
+pub mod grpc;
+mod options;
+pub mod rest;
+mod server;
+mod service;
+pub mod session;
+mod shutdown;
+mod telemetry;
+
+pub use clock::SystemClock;
+pub use config::{Config, ConfigArgs, Limits, LogFormat, SessionConfig};
+pub use error::{ApiError, ErrorCode, FieldViolation};
+pub use server::{DATABASE_FILE, Running, Server, Shutdown, open_store};
+pub use service::{NewSession, Service, SessionList, SessionView};
+pub use shutdown::requested as shutdown_requested;
+pub use telemetry::start_log;

@@ -1,0 +1,258 @@
+//! What a server runs with: defaults, under a TOML file, under the environment, under the command line.
+//!
+//! Everything is read once, before a port opens, and checked by [`Config::validate`].
+
+use anyhow::{Context, ensure};
+use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Configuration of a server. The names in the TOML file are the fields' names.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Folder of the database. It is made if it is not there.
+    pub data_dir: PathBuf,
+    /// Where gRPC listens; port 0 takes a free one. Default 127.0.0.1:50051: nothing is open to the network unasked.
+    pub grpc_addr: SocketAddr,
+    /// Where HTTP listens; port 0 takes a free one. Default 127.0.0.1:8080.
+    pub http_addr: SocketAddr,
+    /// Seconds a shutdown may take before what is still running is abandoned. Default 30.
+    pub shutdown_grace_s: f64,
+    /// What is refused.
+    pub limits: Limits,
+    /// How sessions run.
+    pub sessions: SessionConfig,
+    /// How the log is written.
+    pub log: LogFormat,
+}
+
+/// What is refused, each with an error that says so.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Limits {
+    /// Largest gRPC message, bytes. Default 64 MiB: the largest raw colour image with room to spare.
+    pub max_message_bytes: usize,
+    /// Largest image, pixels. Default 4096 * 3072. Checked before an image is decoded.
+    pub max_image_pixels: u64,
+    /// Sessions kept at most, loaded or not. Default 10 000.
+    pub max_sessions: u64,
+    /// Sessions in memory at most: each holds its map and two threads. Default 64.
+    pub max_loaded_sessions: usize,
+    /// Largest database, bytes; `None` is as large as the disk. Frames are refused when it is full.
+    pub max_database_bytes: Option<u64>,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            max_message_bytes: 64 << 20,
+            max_image_pixels: 4096 * 3072,
+            max_sessions: 10_000,
+            max_loaded_sessions: 64,
+            max_database_bytes: None,
+        }
+    }
+}
+
+/// How sessions run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SessionConfig {
+    /// Seconds without a writer after which a session leaves memory. Default 60.
+    pub idle_unload_s: f64,
+    /// Frames that wait for tracking in a LOSSLESS stream before the client is held back. Default 4: enough to keep
+    /// tracking busy, few enough that large raw images do not fill the memory.
+    pub lossless_queue_frames: usize,
+    /// Newest frames kept waiting in a REALTIME stream; older ones are dropped. Default 2.
+    pub realtime_queue_frames: usize,
+    /// Keep the images of key frames, as they were sent (raw ones as PNG). Default true.
+    pub keep_keyframe_images: bool,
+    /// Seconds between attempts to save after one failed, as when the disk is full. Default 1.
+    pub save_retry_s: f64,
+}
+
+impl Default for SessionConfig {
+    fn default() -> Self {
+        Self {
+            idle_unload_s: 60.0,
+            lossless_queue_frames: 4,
+            realtime_queue_frames: 2,
+            keep_keyframe_images: true,
+            save_retry_s: 1.0,
+        }
+    }
+}
+
+impl SessionConfig {
+    /// [`Self::idle_unload_s`] as a span of time.
+    pub fn idle_unload(&self) -> Duration {
+        Duration::from_secs_f64(self.idle_unload_s)
+    }
+
+    /// [`Self::save_retry_s`] as a span of time.
+    pub fn save_retry(&self) -> Duration {
+        Duration::from_secs_f64(self.save_retry_s)
+    }
+}
+
+/// How log lines are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum LogFormat {
+    /// For people.
+    #[default]
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            data_dir: PathBuf::from("monoslam-data"),
+            grpc_addr: (Ipv4Addr::LOCALHOST, 50051).into(),
+            http_addr: (Ipv4Addr::LOCALHOST, 8080).into(),
+            shutdown_grace_s: 30.0,
+            limits: Limits::default(),
+            sessions: SessionConfig::default(),
+            log: LogFormat::default(),
+        }
+    }
+}
+
+/// The command line's share of the configuration; what is left out comes from the environment, the file or the default.
+#[derive(Clone, Debug, Default, Args)]
+pub struct ConfigArgs {
+    /// Folder of the database; made if it is not there
+    #[arg(long, value_name = "DIR", global = true)]
+    pub data_dir: Option<PathBuf>,
+    /// Where gRPC listens [default: 127.0.0.1:50051]
+    #[arg(long, value_name = "ADDR")]
+    pub grpc_addr: Option<SocketAddr>,
+    /// Where HTTP listens [default: 127.0.0.1:8080]
+    #[arg(long, value_name = "ADDR")]
+    pub http_addr: Option<SocketAddr>,
+    /// How the log is written [default: text]
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    pub log: Option<LogFormat>,
+    /// A TOML file with any field of the configuration
+    #[arg(long, value_name = "FILE", global = true)]
+    pub config: Option<PathBuf>,
+}
+
+impl Config {
+    /// The defaults with the database in `data_dir` and ports that are free: what tests and demonstrations run.
+    pub fn local(data_dir: impl Into<PathBuf>) -> Self {
+        Self {
+            data_dir: data_dir.into(),
+            grpc_addr: (Ipv4Addr::LOCALHOST, 0).into(),
+            http_addr: (Ipv4Addr::LOCALHOST, 0).into(),
+            ..Self::default()
+        }
+    }
+
+    /// Reads the file and the environment (`MONOSLAM_GRPC_ADDR`, `MONOSLAM_LIMITS__MAX_SESSIONS`, …) and puts the
+    /// command line over them.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or a value cannot be used; the message names it.
+    pub fn load(args: ConfigArgs) -> anyhow::Result<Self> {
+        let mut sources = config::Config::builder();
+        if let Some(file) = &args.config {
+            sources = sources.add_source(config::File::from(file.as_path()).format(config::FileFormat::Toml));
+        }
+        let environment = config::Environment::with_prefix("MONOSLAM").prefix_separator("_").separator("__");
+        sources = sources.add_source(environment.try_parsing(true));
+        let read = sources.build().context("the configuration cannot be read")?;
+        let mut merged: Self = read.try_deserialize().context("the configuration cannot be used")?;
+        let ConfigArgs { data_dir, grpc_addr, http_addr, log, config: _ } = args;
+        merged.data_dir = data_dir.unwrap_or(merged.data_dir);
+        merged.grpc_addr = grpc_addr.unwrap_or(merged.grpc_addr);
+        merged.http_addr = http_addr.unwrap_or(merged.http_addr);
+        merged.log = log.unwrap_or(merged.log);
+        merged.validate()?;
+        Ok(merged)
+    }
+
+    /// Checks that every field can be used.
+    ///
+    /// # Errors
+    /// A sentence that names the first field that cannot.
+    pub fn validate(&self) -> anyhow::Result<()> {
+        ensure!(!self.data_dir.as_os_str().is_empty(), "data_dir is empty");
+        let spans = [
+            ("shutdown_grace_s", self.shutdown_grace_s),
+            ("sessions.idle_unload_s", self.sessions.idle_unload_s),
+            ("sessions.save_retry_s", self.sessions.save_retry_s),
+        ];
+        for (field, seconds) in spans {
+            ensure!((0.0..=1e6).contains(&seconds), "{field} is {seconds} but must be 0 to 1000000 seconds");
+        }
+        let counts = [
+            ("sessions.lossless_queue_frames", self.sessions.lossless_queue_frames),
+            ("sessions.realtime_queue_frames", self.sessions.realtime_queue_frames),
+            ("limits.max_loaded_sessions", self.limits.max_loaded_sessions),
+        ];
+        for (field, count) in counts {
+            ensure!((1..=65_536).contains(&count), "{field} is {count} but must be 1 to 65536");
+        }
+        let bytes = self.limits.max_message_bytes;
+        ensure!(bytes >= 1 << 16, "limits.max_message_bytes is {bytes} but must be at least 65536");
+        Ok(())
+    }
+
+    /// What images are accepted, for the decoder.
+    pub fn decode_limits(&self) -> vision::decode::DecodeLimits {
+        let Limits { max_message_bytes, max_image_pixels, .. } = self.limits;
+        let defaults = vision::decode::DecodeLimits::default();
+        vision::decode::DecodeLimits {
+            max_bytes: max_message_bytes,
+            max_pixels: max_image_pixels,
+            ..defaults
+        }
+    }
+
+    /// [`Self::shutdown_grace_s`] as a span of time.
+    pub fn shutdown_grace(&self) -> Duration {
+        Duration::from_secs_f64(self.shutdown_grace_s)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_goes_over_the_file_and_the_file_over_the_defaults() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("monoslam.toml");
+        let text = "data_dir = \"from-file\"\nhttp_addr = \"127.0.0.1:81\"\n[limits]\nmax_sessions = 3\n";
+        std::fs::write(&file, text).unwrap();
+        let args =
+            ConfigArgs { config: Some(file), data_dir: Some("from-flag".into()), ..ConfigArgs::default() };
+        let config = Config::load(args).unwrap();
+        assert_eq!(config.data_dir, PathBuf::from("from-flag"));
+        assert_eq!(config.http_addr.port(), 81);
+        assert_eq!(config.limits.max_sessions, 3);
+        assert_eq!(config.grpc_addr, Config::default().grpc_addr);
+    }
+
+    #[test]
+    fn a_field_nobody_knows_is_refused_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("monoslam.toml");
+        std::fs::write(&file, "data_dri = \"x\"\n").unwrap();
+        let error = Config::load(ConfigArgs { config: Some(file), ..ConfigArgs::default() }).unwrap_err();
+        assert!(format!("{error:#}").contains("data_dri"), "{error:#}");
+    }
+
+    #[test]
+    fn a_span_that_is_not_a_number_is_refused() {
+        let mut config = Config::local("x");
+        config.sessions.idle_unload_s = f64::NAN;
+        assert!(config.validate().unwrap_err().to_string().contains("sessions.idle_unload_s"));
+    }
+}

@@ -1,0 +1,216 @@
+//! What goes wrong, once for both interfaces: a code, a sentence for the caller, and a cause for the log.
+
+use axum::http::StatusCode;
+use tonic::Code;
+
+/// The kinds of error. Their names are stable: clients may match on them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum ErrorCode {
+    /// A field of the request cannot be used; the violations say which.
+    InvalidArgument,
+    /// There is no session with this id.
+    SessionNotFound,
+    /// The session has no key frame with this id.
+    KeyframeNotFound,
+    /// The key frame's image was not kept.
+    ImageNotFound,
+    /// There is no such path.
+    NotFound,
+    /// The path does not take this method.
+    MethodNotAllowed,
+    /// The chosen session id is taken.
+    SessionExists,
+    /// Another client streams into the session.
+    WriterConnected,
+    /// Another client took the session over.
+    TakenOver,
+    /// There are as many sessions as the server keeps.
+    TooManySessions,
+    /// As many sessions are in memory as the server takes.
+    TooManyLoadedSessions,
+    /// A message is larger than the server takes.
+    MessageTooLarge,
+    /// The database cannot grow.
+    StorageFull,
+    /// The database cannot be used now.
+    StorageFailed,
+    /// The stored map cannot be used.
+    DataLoss,
+    /// The server is about to stop.
+    ShuttingDown,
+    /// The session's worker failed.
+    SessionFailed,
+    /// Our own fault.
+    Internal,
+}
+
+impl ErrorCode {
+    /// The stable name of the code.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::InvalidArgument => "INVALID_ARGUMENT",
+            Self::SessionNotFound => "SESSION_NOT_FOUND",
+            Self::KeyframeNotFound => "KEYFRAME_NOT_FOUND",
+            Self::ImageNotFound => "IMAGE_NOT_FOUND",
+            Self::NotFound => "NOT_FOUND",
+            Self::MethodNotAllowed => "METHOD_NOT_ALLOWED",
+            Self::SessionExists => "SESSION_EXISTS",
+            Self::WriterConnected => "WRITER_CONNECTED",
+            Self::TakenOver => "TAKEN_OVER",
+            Self::TooManySessions => "TOO_MANY_SESSIONS",
+            Self::TooManyLoadedSessions => "TOO_MANY_LOADED_SESSIONS",
+            Self::MessageTooLarge => "MESSAGE_TOO_LARGE",
+            Self::StorageFull => "STORAGE_FULL",
+            Self::StorageFailed => "STORAGE_FAILED",
+            Self::DataLoss => "DATA_LOSS",
+            Self::ShuttingDown => "SHUTTING_DOWN",
+            Self::SessionFailed => "SESSION_FAILED",
+            Self::Internal => "INTERNAL",
+        }
+    }
+
+    /// A short title in plain words, the same for every error of this kind.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::InvalidArgument => "The request cannot be used",
+            Self::SessionNotFound => "No such session",
+            Self::KeyframeNotFound => "No such key frame",
+            Self::ImageNotFound => "The key frame's image was not kept",
+            Self::NotFound => "No such path",
+            Self::MethodNotAllowed => "The path does not take this method",
+            Self::SessionExists => "The session exists already",
+            Self::WriterConnected => "A writer is connected",
+            Self::TakenOver => "Another client took the session over",
+            Self::TooManySessions => "Too many sessions",
+            Self::TooManyLoadedSessions => "Too many sessions are in use",
+            Self::MessageTooLarge => "The message is too large",
+            Self::StorageFull => "The storage is full",
+            Self::StorageFailed => "The storage failed",
+            Self::DataLoss => "The stored map is damaged",
+            Self::ShuttingDown => "The server is shutting down",
+            Self::SessionFailed => "The session failed",
+            Self::Internal => "Internal error",
+        }
+    }
+
+    /// The code's gRPC status.
+    pub fn grpc(self) -> Code {
+        match self {
+            Self::InvalidArgument => Code::InvalidArgument,
+            Self::SessionNotFound | Self::KeyframeNotFound | Self::ImageNotFound | Self::NotFound => {
+                Code::NotFound
+            }
+            Self::MethodNotAllowed => Code::Unimplemented,
+            Self::SessionExists => Code::AlreadyExists,
+            Self::WriterConnected => Code::FailedPrecondition,
+            Self::TakenOver => Code::Aborted,
+            Self::TooManySessions
+            | Self::TooManyLoadedSessions
+            | Self::MessageTooLarge
+            | Self::StorageFull => Code::ResourceExhausted,
+            Self::StorageFailed | Self::ShuttingDown => Code::Unavailable,
+            Self::DataLoss => Code::DataLoss,
+            Self::SessionFailed | Self::Internal => Code::Internal,
+        }
+    }
+
+    /// The code's HTTP status.
+    pub fn http(self) -> StatusCode {
+        match self {
+            Self::InvalidArgument => StatusCode::BAD_REQUEST,
+            Self::SessionNotFound | Self::KeyframeNotFound | Self::ImageNotFound | Self::NotFound => {
+                StatusCode::NOT_FOUND
+            }
+            Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
+            Self::SessionExists | Self::WriterConnected | Self::TakenOver => StatusCode::CONFLICT,
+            Self::TooManySessions | Self::TooManyLoadedSessions => StatusCode::TOO_MANY_REQUESTS,
+            Self::MessageTooLarge => StatusCode::PAYLOAD_TOO_LARGE,
+            Self::StorageFull => StatusCode::INSUFFICIENT_STORAGE,
+            Self::StorageFailed | Self::ShuttingDown => StatusCode::SERVICE_UNAVAILABLE,
+            Self::DataLoss | Self::SessionFailed | Self::Internal => StatusCode::INTERNAL_SERVER_ERROR,
+        }
+    }
+}
+
+/// One field that is wrong.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FieldViolation {
+    /// Path of the field, such as `camera.fx`.
+    pub field: String,
+    /// What is wrong with it, in a plain sentence.
+    pub description: String,
+}
+
+/// An error on its way to a caller. Its `Display` is the sentence the caller reads.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("{message}")]
+pub struct ApiError {
+    /// What kind of error.
+    pub code: ErrorCode,
+    /// What happened and what to do about it, in a plain sentence.
+    pub message: String,
+    /// The fields that are wrong, for [`ErrorCode::InvalidArgument`].
+    pub violations: Vec<FieldViolation>,
+}
+
+impl ApiError {
+    /// An error of this kind.
+    pub fn new(code: ErrorCode, message: impl Into<String>) -> Self {
+        Self { code, message: message.into(), violations: Vec::new() }
+    }
+
+    /// A request with one wrong field.
+    pub fn invalid(field: impl Into<String>, description: impl Into<String>) -> Self {
+        let (field, description) = (field.into(), description.into());
+        let message = format!("{field}: {description}");
+        Self {
+            code: ErrorCode::InvalidArgument,
+            message,
+            violations: vec![FieldViolation { field, description }],
+        }
+    }
+
+    /// There is no session with this id.
+    pub fn session_not_found(id: &str) -> Self {
+        Self::new(ErrorCode::SessionNotFound, format!("there is no session {id:?}"))
+    }
+
+    /// Our own fault: the cause goes to the log and the caller reads a plain sentence.
+    pub fn internal(cause: impl std::fmt::Display) -> Self {
+        tracing::error!(cause = %cause, "internal error: {cause}");
+        Self::new(ErrorCode::Internal, "something went wrong inside the server; its log says what")
+    }
+}
+
+impl From<ApiError> for tonic::Status {
+    fn from(error: ApiError) -> Self {
+        use tonic_types::{ErrorDetails, StatusExt};
+        let mut details = ErrorDetails::new();
+        details.set_error_info(
+            error.code.name(),
+            "monoslam",
+            std::collections::HashMap::<String, String>::new(),
+        );
+        for FieldViolation { field, description } in &error.violations {
+            details.add_bad_request_violation(field, description);
+        }
+        Self::with_error_details(error.code.grpc(), error.message, details)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tonic_types::StatusExt;
+
+    #[test]
+    fn a_wrong_field_reaches_a_grpc_client_as_a_bad_request_violation() {
+        let status = tonic::Status::from(ApiError::invalid("camera.fx", "must be positive, is -1"));
+        assert_eq!(status.code(), Code::InvalidArgument);
+        assert_eq!(status.message(), "camera.fx: must be positive, is -1");
+        let details = status.get_error_details();
+        let violations = &details.bad_request().unwrap().field_violations;
+        assert_eq!(violations[0].field, "camera.fx");
+        assert_eq!(details.error_info().unwrap().reason, "INVALID_ARGUMENT");
+    }
+}

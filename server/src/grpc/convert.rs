@@ -1,0 +1,269 @@
+//! Between the messages of the contract and the service's types.
+
+use crate::error::{ApiError, ErrorCode, FieldViolation};
+use crate::service::{NewSession, SessionView};
+use crate::session::{
+    Answer, Before, Encoding, Mode, OpenRequest, Policy, Rejection, Reply, SentFrame, SentImage, SessionId,
+};
+use geometry::{CameraModel, CameraParameters, Pose};
+use proto::v1;
+use proto::v1::stream_frames_response::Message;
+use slam::FrameReport;
+use slam::map::FrameState;
+use std::time::Instant;
+use store::{MAX_SEQUENCE, SessionOptions};
+use vision::decode::PixelFormat;
+
+pub(super) fn new_session(request: v1::CreateSessionRequest) -> Result<NewSession, ApiError> {
+    let v1::CreateSessionRequest { session_id, camera, options } = request;
+    let id = if session_id.is_empty() { None } else { Some(SessionId::parse(&session_id, "session_id")?) };
+    let camera = camera.ok_or_else(|| ApiError::invalid("camera", "a session needs a camera"))?;
+    let options = options.map(session_options).unwrap_or_default();
+    Ok(NewSession { id, camera: camera_parameters(camera)?, options })
+}
+
+fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, ApiError> {
+    let model = match camera.model() {
+        v1::CameraModel::Pinhole => CameraModel::Pinhole,
+        v1::CameraModel::Radtan => CameraModel::Radtan,
+        v1::CameraModel::KannalaBrandt => CameraModel::KannalaBrandt,
+        v1::CameraModel::Fov => CameraModel::Fov,
+        v1::CameraModel::Unspecified => {
+            let sentence = "must be PINHOLE, RADTAN, KANNALA_BRANDT or FOV";
+            return Err(ApiError::invalid("camera.model", sentence));
+        }
+    };
+    let v1::Camera { model: _, width, height, fx, fy, cx, cy, distortion } = camera;
+    Ok(CameraParameters { model, width, height, fx, fy, cx, cy, distortion })
+}
+
+fn session_options(options: v1::SessionOptions) -> SessionOptions {
+    let v1::SessionOptions {
+        deterministic,
+        seed,
+        n_features,
+        points,
+        lines,
+        global_primitives,
+        loop_closing,
+        max_keyframes,
+    } = options;
+    SessionOptions {
+        deterministic,
+        seed,
+        n_features,
+        points,
+        lines,
+        global_primitives,
+        loop_closing,
+        max_keyframes,
+    }
+}
+
+pub(super) fn session(view: &SessionView) -> v1::Session {
+    v1::Session {
+        id: view.id.clone(),
+        camera: Some(camera(&view.camera)),
+        options: Some(options(&view.options)),
+        created_at_ns: view.created_at_ns,
+        state: view.state.map_or(v1::TrackingState::Unspecified, tracking_state).into(),
+        n_frames: view.n_frames,
+        n_keyframes: view.n_keyframes,
+        n_points: view.n_points,
+        n_lines: 0,
+        n_primitives: 0,
+        n_submaps: view.n_submaps,
+        durable_sequence: view.durable_sequence,
+        next_sequence: view.next_sequence,
+        loaded: view.loaded,
+        has_writer: view.has_writer,
+    }
+}
+
+fn camera(camera: &CameraParameters) -> v1::Camera {
+    let model = match camera.model {
+        CameraModel::Pinhole => v1::CameraModel::Pinhole,
+        CameraModel::Radtan => v1::CameraModel::Radtan,
+        CameraModel::KannalaBrandt => v1::CameraModel::KannalaBrandt,
+        CameraModel::Fov => v1::CameraModel::Fov,
+    };
+    let CameraParameters { model: _, width, height, fx, fy, cx, cy, ref distortion } = *camera;
+    v1::Camera { model: model.into(), width, height, fx, fy, cx, cy, distortion: distortion.clone() }
+}
+
+fn options(options: &SessionOptions) -> v1::SessionOptions {
+    let SessionOptions {
+        deterministic,
+        seed,
+        n_features,
+        points,
+        lines,
+        global_primitives,
+        loop_closing,
+        max_keyframes,
+    } = *options;
+    v1::SessionOptions {
+        deterministic,
+        seed,
+        n_features,
+        points,
+        lines,
+        global_primitives,
+        loop_closing,
+        max_keyframes,
+    }
+}
+
+fn tracking_state(state: FrameState) -> v1::TrackingState {
+    match state {
+        FrameState::Initialising => v1::TrackingState::Initialising,
+        FrameState::Tracked => v1::TrackingState::Tracked,
+        FrameState::Weak => v1::TrackingState::Weak,
+        FrameState::Lost => v1::TrackingState::Lost,
+    }
+}
+
+pub(super) fn open_request(open: v1::OpenStream) -> Result<OpenRequest, ApiError> {
+    let mut violations = Vec::new();
+    let mut violate = |field: &str, description: &str| {
+        violations.push(FieldViolation { field: field.into(), description: description.into() });
+    };
+    let mode = match open.mode() {
+        v1::StreamMode::MapAndLocalize => Mode::MapAndLocalize,
+        v1::StreamMode::LocalizeOnly => Mode::LocalizeOnly,
+        v1::StreamMode::Unspecified => {
+            violate("open.mode", "must be MAP_AND_LOCALIZE or LOCALIZE_ONLY");
+            Mode::LocalizeOnly
+        }
+    };
+    let policy = match open.policy() {
+        v1::StreamPolicy::Lossless => Policy::Lossless,
+        v1::StreamPolicy::Realtime => Policy::Realtime,
+        v1::StreamPolicy::Unspecified => {
+            violate("open.policy", "must be LOSSLESS or REALTIME");
+            Policy::Lossless
+        }
+    };
+    if let Some(first) = violations.first() {
+        let message = format!("{}: {}", first.field, first.description);
+        return Err(ApiError { code: ErrorCode::InvalidArgument, message, violations });
+    }
+    let id = SessionId::parse(&open.session_id, "open.session_id")?;
+    Ok(OpenRequest { id, mode, policy, take_over: open.take_over })
+}
+
+/// A frame, or why it cannot be one.
+pub(super) fn frame(frame: v1::Frame) -> Result<SentFrame, Rejection> {
+    let v1::Frame { sequence, timestamp_ns, image } = frame;
+    let reject = |field, reason: &str, code| Rejection { sequence, field, reason: reason.to_owned(), code };
+    if sequence > MAX_SEQUENCE {
+        return Err(reject("sequence", "must be below 2^63", "SEQUENCE_OUT_OF_RANGE"));
+    }
+    let Some(image) = image else {
+        return Err(reject("image", "a frame needs an image", "MISSING_IMAGE"));
+    };
+    let Ok(encoding) = v1::ImageEncoding::try_from(image.encoding) else {
+        return Err(reject("image.encoding", "is none this server knows", "UNKNOWN_FORMAT"));
+    };
+    let encoding = match encoding {
+        v1::ImageEncoding::Unspecified => Encoding::Auto,
+        v1::ImageEncoding::Png => Encoding::Png,
+        v1::ImageEncoding::Jpeg => Encoding::Jpeg,
+        v1::ImageEncoding::Gray8 => Encoding::Raw(PixelFormat::Gray8),
+        v1::ImageEncoding::Gray16 => Encoding::Raw(PixelFormat::Gray16),
+        v1::ImageEncoding::Rgb8 => Encoding::Raw(PixelFormat::Rgb8),
+        v1::ImageEncoding::Bgr8 => Encoding::Raw(PixelFormat::Bgr8),
+        v1::ImageEncoding::Rgba8 => Encoding::Raw(PixelFormat::Rgba8),
+        v1::ImageEncoding::Bgra8 => Encoding::Raw(PixelFormat::Bgra8),
+    };
+    let v1::Image { encoding: _, width, height, row_stride, data } = image;
+    let image = SentImage { encoding, width, height, row_stride, data };
+    Ok(SentFrame { sequence, timestamp_ns, image, arrived: Instant::now() })
+}
+
+pub(super) fn reply(reply: Reply) -> v1::StreamFramesResponse {
+    let message = match reply {
+        Reply::Opened(view) => Message::Opened(v1::StreamOpened { session: Some(session(&view)) }),
+        Reply::Answered(answer) => Message::Result(answered(*answer)),
+        Reply::Repeated { sequence, timestamp_ns, before, durable_sequence } => {
+            let result = repeated(sequence, timestamp_ns, before.as_ref());
+            Message::Result(v1::FrameResult { durable_sequence, repeated: true, ..result })
+        }
+        Reply::Dropped(sequence) => {
+            let reason = "newer frames came before this one's turn".to_owned();
+            Message::Dropped(v1::FrameDropped { sequence, reason })
+        }
+        Reply::Rejected(Rejection { sequence, field, reason, code }) => {
+            Message::Rejected(v1::FrameRejected { sequence, field: field.into(), reason, code: code.into() })
+        }
+    };
+    v1::StreamFramesResponse { message: Some(message) }
+}
+
+fn answered(answer: Answer) -> v1::FrameResult {
+    let Answer { report, durable_sequence, queued_ns } = answer;
+    let timings = v1::FrameTimings {
+        stages: report
+            .stages
+            .iter()
+            .map(|stage| v1::StageTime { name: stage.name.into(), ms: ms(stage.wall_ns) })
+            .collect(),
+        total_ms: ms(report.wall_ns),
+        tracking_cpu_ms: ms(report.cpu_ns),
+        queue_ms: ms(queued_ns),
+    };
+    v1::FrameResult { durable_sequence, timings: Some(timings), ..frame_result(&report) }
+}
+
+fn repeated(sequence: u64, timestamp_ns: i64, before: Option<&Before>) -> v1::FrameResult {
+    match before {
+        Some(Before::Recent(report)) => frame_result(report),
+        Some(Before::Stored(frame)) => v1::FrameResult {
+            sequence,
+            timestamp_ns: frame.timestamp_ns,
+            state: tracking_state(frame.state).into(),
+            pose_world_from_camera: frame
+                .world_from_camera
+                .as_ref()
+                .map(|(_, world_from_camera)| pose(world_from_camera)),
+            scale: v1::ScaleKind::UpToScale.into(),
+            submap_id: frame.world_from_camera.map_or(0, |(submap, _)| submap.0),
+            ..v1::FrameResult::default()
+        },
+        None => v1::FrameResult {
+            sequence,
+            timestamp_ns,
+            reason: "a later frame was answered before; this one was not tracked".into(),
+            ..v1::FrameResult::default()
+        },
+    }
+}
+
+fn frame_result(report: &FrameReport) -> v1::FrameResult {
+    v1::FrameResult {
+        sequence: report.sequence,
+        timestamp_ns: report.timestamp_ns,
+        state: tracking_state(report.outcome.state()).into(),
+        reason: report.outcome.reason(),
+        pose_world_from_camera: report.world_from_camera.as_ref().map(pose),
+        scale: v1::ScaleKind::UpToScale.into(),
+        submap_id: report.submap.0,
+        n_inlier_points: report.n_inlier_points as u32,
+        n_inlier_lines: report.n_inlier_lines as u32,
+        is_key_frame: report.is_keyframe,
+        relocalised: report.relocalised,
+        durable_sequence: None,
+        timings: None,
+        repeated: false,
+        n_keypoints: report.n_keypoints as u32,
+    }
+}
+
+fn pose(pose: &Pose) -> v1::Pose {
+    let (t, q) = (&pose.translation, pose.rotation.quaternion());
+    v1::Pose { tx: t.x, ty: t.y, tz: t.z, qx: q.i, qy: q.j, qz: q.k, qw: q.w }
+}
+
+fn ms(nanoseconds: u64) -> f64 {
+    nanoseconds as f64 * 1e-6
+}

@@ -1,0 +1,118 @@
+//! The gRPC skin: decode, call the service, encode.
+
+mod convert;
+mod stream;
+
+use crate::error::ApiError;
+use crate::service::Service;
+use crate::session::SessionId;
+use proto::v1;
+use proto::v1::slam_service_server::{SlamService, SlamServiceServer};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+use tonic::service::Routes;
+use tonic::transport::server::TcpIncoming;
+use tonic::{Request, Response, Status};
+
+/// A client that does not answer a ping for this long is gone, so that a phone that lost its network frees its session.
+const KEEPALIVE: (Duration, Duration) = (Duration::from_secs(15), Duration::from_secs(15));
+
+/// Serves gRPC until `closing`, then lets what is under way end.
+pub(crate) async fn serve(
+    service: Arc<Service>,
+    listener: TcpListener,
+    closing: CancellationToken,
+) -> anyhow::Result<()> {
+    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
+    let (reporter, health) = tonic_health::server::health_reporter();
+    reporter.set_serving::<SlamServiceServer<Handler>>().await;
+    let not_serving = {
+        let closing = closing.clone();
+        async move {
+            closing.cancelled().await;
+            reporter.set_not_serving::<SlamServiceServer<Handler>>().await;
+        }
+    };
+    tokio::spawn(not_serving);
+    tonic::transport::Server::builder()
+        .http2_keepalive_interval(Some(KEEPALIVE.0))
+        .http2_keepalive_timeout(Some(KEEPALIVE.1))
+        .add_routes(routes(service)?.add_service(health))
+        .serve_with_incoming_shutdown(incoming, closing.cancelled_owned())
+        .await?;
+    Ok(())
+}
+
+/// The service with reflection, without a socket.
+///
+/// # Errors
+/// If the descriptors do not parse, which a build with a broken contract would show.
+pub fn routes(service: Arc<Service>) -> anyhow::Result<Routes> {
+    let reflection = tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(proto::FILE_DESCRIPTOR_SET)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        .build_v1()?;
+    let max_bytes = service.config().limits.max_message_bytes;
+    let slam = SlamServiceServer::new(Handler { service }).max_decoding_message_size(max_bytes);
+    Ok(Routes::new(slam).add_service(reflection))
+}
+
+/// Answers the calls.
+pub(crate) struct Handler {
+    service: Arc<Service>,
+}
+
+#[tonic::async_trait]
+impl SlamService for Handler {
+    async fn create_session(
+        &self,
+        request: Request<v1::CreateSessionRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        let new = convert::new_session(request.into_inner())?;
+        Ok(Response::new(convert::session(&self.service.create_session(new).await?)))
+    }
+
+    async fn get_session(
+        &self,
+        request: Request<v1::GetSessionRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        let id = session_id(&request.get_ref().session_id)?;
+        Ok(Response::new(convert::session(&self.service.get_session(&id).await?)))
+    }
+
+    async fn list_sessions(
+        &self,
+        request: Request<v1::ListSessionsRequest>,
+    ) -> Result<Response<v1::ListSessionsResponse>, Status> {
+        let v1::ListSessionsRequest { page_size, page_token } = request.into_inner();
+        let page = self.service.list_sessions(page_size, &page_token).await?;
+        Ok(Response::new(v1::ListSessionsResponse {
+            sessions: page.sessions.iter().map(convert::session).collect(),
+            next_page_token: page.next_page_token.unwrap_or_default(),
+        }))
+    }
+
+    async fn delete_session(
+        &self,
+        request: Request<v1::DeleteSessionRequest>,
+    ) -> Result<Response<v1::DeleteSessionResponse>, Status> {
+        let id = session_id(&request.get_ref().session_id)?;
+        self.service.delete_session(&id).await?;
+        Ok(Response::new(v1::DeleteSessionResponse {}))
+    }
+
+    type StreamFramesStream = stream::Answers;
+
+    async fn stream_frames(
+        &self,
+        request: Request<tonic::Streaming<v1::StreamFramesRequest>>,
+    ) -> Result<Response<Self::StreamFramesStream>, Status> {
+        Ok(Response::new(stream::start(self.service.clone(), request.into_inner())))
+    }
+}
+
+fn session_id(text: &str) -> Result<SessionId, ApiError> {
+    SessionId::parse(text, "session_id")
+}

@@ -1,0 +1,99 @@
+//! One bidirectional stream of frames and answers.
+
+use super::convert;
+use crate::error::{ApiError, ErrorCode};
+use crate::service::Service;
+use crate::session::{FrameQueue, OpenRequest, Queued, Replies, Reply};
+use proto::v1;
+use proto::v1::stream_frames_request::Message;
+use std::pin::Pin;
+use std::sync::Arc;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tokio_stream::{Stream, StreamExt};
+use tonic::{Code, Status, Streaming};
+
+/// Answers that wait for the client to read them. When there are as many, the session waits for the client, or, in a
+/// REALTIME stream, drops frames.
+const MAX_WAITING_ANSWERS: usize = 16;
+
+/// The server's side of a stream.
+pub type Answers = Pin<Box<dyn Stream<Item = Result<v1::StreamFramesResponse, Status>> + Send>>;
+
+/// Serves a stream in a task of its own: the client sees the headers of the answer at once.
+pub fn start(service: Arc<Service>, requests: Streaming<v1::StreamFramesRequest>) -> Answers {
+    let (replies, answers) = mpsc::channel(MAX_WAITING_ANSWERS);
+    tokio::spawn(serve(service, requests, replies));
+    Box::pin(ReceiverStream::new(answers).map(|reply: Result<Reply, ApiError>| match reply {
+        Ok(reply) => Ok(convert::reply(reply)),
+        Err(error) => Err(error.into()),
+    }))
+}
+
+async fn serve(service: Arc<Service>, mut requests: Streaming<v1::StreamFramesRequest>, replies: Replies) {
+    match open(&service, &mut requests, &replies).await {
+        Ok(queue) => {
+            // From here on the session alone holds the answers' channel, and its end is the end of the stream.
+            drop(replies);
+            let ending = tokio::select! {
+                ending = read_frames(&mut requests, &queue) => ending,
+                () = queue.closed() => return,
+            };
+            queue.close(ending);
+        }
+        Err(error) => {
+            let _ = replies.send(Err(error)).await;
+        }
+    }
+}
+
+async fn open(
+    service: &Service,
+    requests: &mut Streaming<v1::StreamFramesRequest>,
+    replies: &Replies,
+) -> Result<Arc<FrameQueue>, ApiError> {
+    let first = next(requests).await?.map(|request| request.message);
+    let Some(Some(Message::Open(open))) = first else {
+        return Err(ApiError::invalid("open", "the first message of a stream must be `open`"));
+    };
+    let request: OpenRequest = convert::open_request(open)?;
+    // Not given up half-way, even if the client is gone by then: whoever is told of a queue closes it.
+    service.open_stream(request, replies.clone()).await
+}
+
+/// Queues frames until the client ends the stream or breaks the rules.
+async fn read_frames(
+    requests: &mut Streaming<v1::StreamFramesRequest>,
+    queue: &FrameQueue,
+) -> Result<(), ApiError> {
+    while let Some(request) = next(requests).await? {
+        let item = match request.message {
+            Some(Message::Frame(frame)) => convert::frame(frame),
+            Some(Message::Open(_)) => return Err(ApiError::invalid("open", "the stream is open already")),
+            None => {
+                return Err(ApiError::invalid(
+                    "message",
+                    "a message must be `open` or `frame`; this one is empty",
+                ));
+            }
+        };
+        let item = item.map_or_else(Queued::Rejected, Queued::Frame);
+        if queue.push(item).await.is_err() {
+            return Ok(());
+        }
+    }
+    Ok(())
+}
+
+async fn next(
+    requests: &mut Streaming<v1::StreamFramesRequest>,
+) -> Result<Option<v1::StreamFramesRequest>, ApiError> {
+    requests.message().await.map_err(|status| match status.code() {
+        Code::OutOfRange => {
+            let sentence = format!("a message is larger than the server takes: {}", status.message());
+            ApiError::new(ErrorCode::MessageTooLarge, sentence)
+        }
+        // Nobody reads this if the connection broke.
+        _ => ApiError::invalid("message", format!("the stream cannot be read on: {}", status.message())),
+    })
+}

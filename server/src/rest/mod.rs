@@ -1,0 +1,110 @@
+//! The HTTP skin: decode, call the service, encode.
+
+mod extract;
+mod keyframes;
+mod landing;
+mod model;
+mod points;
+mod problem;
+mod sessions;
+mod system;
+mod trajectory;
+
+use crate::service::Service;
+use axum::Router;
+use metrics_exporter_prometheus::PrometheusHandle;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+use tower_http::catch_panic::CatchPanicLayer;
+use utoipa::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+pub use model::{Camera, Pose, Session, SessionPage, State};
+pub use problem::{Problem, Violation};
+pub use trajectory::{Format, TrajectoryWriter};
+
+/// Largest request body: requests are a calibration and a few options.
+const MAX_BODY_BYTES: usize = 64 << 10;
+
+/// What the handlers share.
+#[derive(Clone)]
+pub struct App {
+    /// The service.
+    pub service: Arc<Service>,
+    /// The process's metrics.
+    pub metrics: PrometheusHandle,
+}
+
+impl App {
+    /// The interface of a service, with the metrics of this process.
+    pub fn new(service: Arc<Service>) -> Self {
+        Self { service, metrics: crate::telemetry::metrics() }
+    }
+}
+
+#[derive(OpenApi)]
+#[openapi(info(
+    title = "monoslam",
+    description = "Sessions, trajectories and maps of a monocular SLAM service. Frames are streamed over gRPC. \
+                   Poses are world_from_camera, quaternions x y z w; lengths are map units unless a session's \
+                   scale says metric."
+))]
+struct Document;
+
+/// Every path of the interface with its document.
+fn api() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(Document::openapi())
+        .routes(routes!(sessions::list, sessions::create))
+        .routes(routes!(sessions::get, sessions::delete))
+        .routes(routes!(trajectory::trajectory))
+        .routes(routes!(keyframes::list))
+        .routes(routes!(keyframes::get))
+        .routes(routes!(keyframes::image))
+        .routes(routes!(points::list))
+        .routes(routes!(system::healthz))
+        .routes(routes!(system::readyz))
+        .routes(routes!(system::metrics))
+}
+
+/// The whole interface, without a socket.
+pub fn router(app: App) -> Router {
+    let (router, document) = api().split_for_parts();
+    let document = Arc::new(document);
+    router
+        .route(
+            "/openapi.json",
+            axum::routing::get(move || async move { axum::Json(document.as_ref().clone()) }),
+        )
+        .route("/", axum::routing::get(landing::page))
+        .fallback(problem::not_found)
+        .method_not_allowed_fallback(problem::method_not_allowed)
+        .layer(axum::extract::DefaultBodyLimit::max(MAX_BODY_BYTES))
+        .layer(CatchPanicLayer::custom(panicked))
+        .with_state(app)
+}
+
+/// The OpenAPI document.
+pub fn openapi() -> utoipa::openapi::OpenApi {
+    api().split_for_parts().1
+}
+
+/// Serves HTTP until `closing`, then lets what is under way end.
+pub(crate) async fn serve(app: App, listener: TcpListener, closing: CancellationToken) -> anyhow::Result<()> {
+    let upkeep = app.metrics.clone();
+    tokio::spawn(async move {
+        // The exporter keeps raw observations until it is asked to fold them together.
+        loop {
+            tokio::time::sleep(Duration::from_secs(5)).await;
+            upkeep.run_upkeep();
+        }
+    });
+    axum::serve(listener, router(app)).with_graceful_shutdown(closing.cancelled_owned()).await?;
+    Ok(())
+}
+
+fn panicked(_: Box<dyn std::any::Any + Send>) -> axum::response::Response {
+    axum::response::IntoResponse::into_response(crate::error::ApiError::internal("a handler panicked"))
+}

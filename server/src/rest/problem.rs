@@ -1,0 +1,72 @@
+//! Errors as RFC 9457 `application/problem+json`.
+
+use crate::error::{ApiError, ErrorCode};
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// What went wrong (RFC 9457).
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub struct Problem {
+    /// Names the kind of problem; the end is `code`.
+    #[serde(rename = "type")]
+    #[schema(example = "urn:monoslam:error:SESSION_NOT_FOUND")]
+    pub kind: String,
+    /// The kind of problem in plain words.
+    pub title: &'static str,
+    /// The HTTP status.
+    pub status: u16,
+    /// What happened this time, in a plain sentence.
+    pub detail: String,
+    /// Stable name of the kind of problem.
+    pub code: &'static str,
+    /// The fields that are wrong.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub violations: Vec<Violation>,
+}
+
+/// One field that is wrong.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub struct Violation {
+    /// Path of the field.
+    #[schema(example = "camera.fx")]
+    pub field: String,
+    /// What is wrong with it, in a plain sentence.
+    pub description: String,
+}
+
+impl From<ApiError> for Problem {
+    fn from(error: ApiError) -> Self {
+        let ApiError { code, message, violations } = error;
+        Self {
+            kind: format!("urn:monoslam:error:{}", code.name()),
+            title: code.title(),
+            status: code.http().as_u16(),
+            detail: message,
+            code: code.name(),
+            violations: violations
+                .into_iter()
+                .map(|violation| Violation { field: violation.field, description: violation.description })
+                .collect(),
+        }
+    }
+}
+
+impl IntoResponse for ApiError {
+    fn into_response(self) -> Response {
+        let status = self.code.http();
+        let body = serde_json::to_vec(&Problem::from(self)).unwrap_or_default();
+        (status, [(CONTENT_TYPE, "application/problem+json")], body).into_response()
+    }
+}
+
+/// Answer to a path there is not.
+pub(super) async fn not_found(uri: axum::http::Uri) -> ApiError {
+    ApiError::new(ErrorCode::NotFound, format!("there is nothing at {}", uri.path()))
+}
+
+/// Answer to a method a path does not take.
+pub(super) async fn method_not_allowed(method: axum::http::Method, uri: axum::http::Uri) -> ApiError {
+    ApiError::new(ErrorCode::MethodNotAllowed, format!("{} does not take {method}", uri.path()))
+}

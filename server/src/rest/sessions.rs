@@ -1,0 +1,74 @@
+//! Sessions.
+
+use super::extract::{Body, Params};
+use super::model::{CreateSession, Session, SessionPage};
+use super::{App, Problem};
+use crate::error::ApiError;
+use crate::session::SessionId;
+use axum::Json;
+use axum::extract::{Path, State};
+use axum::http::header::LOCATION;
+use axum::http::{HeaderName, StatusCode};
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+/// Which page.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Page {
+    /// Entries on the page, at most 1000; 0 means 100.
+    page_size: u32,
+    /// `next_page_token` of the page before.
+    page_token: String,
+}
+
+/// Sessions in the order of their ids.
+#[utoipa::path(get, path = "/v1/sessions", tag = "sessions", params(Page), responses(
+    (status = 200, description = "A page of sessions", body = SessionPage),
+    (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json")
+))]
+pub(super) async fn list(
+    State(app): State<App>,
+    Params(page): Params<Page>,
+) -> Result<Json<SessionPage>, ApiError> {
+    let list = app.service.list_sessions(page.page_size, &page.page_token).await?;
+    let sessions = list.sessions.into_iter().map(Session::from).collect();
+    Ok(Json(SessionPage { sessions, next_page_token: list.next_page_token }))
+}
+
+/// Makes a session.
+#[utoipa::path(post, path = "/v1/sessions", tag = "sessions", request_body = CreateSession, responses(
+    (status = 201, description = "The session", body = Session),
+    (status = 400, description = "A field is wrong", body = Problem, content_type = "application/problem+json"),
+    (status = 409, description = "The id is taken", body = Problem, content_type = "application/problem+json"),
+    (status = 429, description = "Too many sessions", body = Problem, content_type = "application/problem+json")
+))]
+pub(super) async fn create(
+    State(app): State<App>,
+    Body(request): Body<CreateSession>,
+) -> Result<(StatusCode, [(HeaderName, String); 1], Json<Session>), ApiError> {
+    let view = app.service.create_session(request.into_new_session()?).await?;
+    let location = format!("/v1/sessions/{}", view.id);
+    Ok((StatusCode::CREATED, [(LOCATION, location)], Json(view.into())))
+}
+
+/// A session.
+#[utoipa::path(get, path = "/v1/sessions/{id}", tag = "sessions", params(("id", description = "The session's id")), responses(
+    (status = 200, description = "The session", body = Session),
+    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json")
+))]
+pub(super) async fn get(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Session>, ApiError> {
+    Ok(Json(app.service.get_session(&SessionId::parse(&id, "id")?).await?.into()))
+}
+
+/// Deletes a session with its map.
+#[utoipa::path(delete, path = "/v1/sessions/{id}", tag = "sessions", params(("id", description = "The session's id")), responses(
+    (status = 204, description = "It is gone"),
+    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
+    (status = 409, description = "A writer is connected", body = Problem, content_type = "application/problem+json")
+))]
+pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
+    app.service.delete_session(&SessionId::parse(&id, "id")?).await?;
+    Ok(StatusCode::NO_CONTENT)
+}

@@ -1,0 +1,35 @@
+//! Health, readiness and metrics.
+
+use super::{App, Problem};
+use crate::error::ApiError;
+use axum::extract::State;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::IntoResponse;
+
+/// Whether the process lives.
+#[utoipa::path(get, path = "/healthz", tag = "system", responses((status = 200, description = "It does", body = String)))]
+pub(super) async fn healthz() -> &'static str {
+    "ok\n"
+}
+
+/// Whether requests are taken: the database answers and the server is not about to stop.
+#[utoipa::path(get, path = "/readyz", tag = "system", responses(
+    (status = 200, description = "They are", body = String),
+    (status = 503, description = "They are not", body = Problem, content_type = "application/problem+json")
+))]
+pub(super) async fn readyz(State(app): State<App>) -> Result<&'static str, ApiError> {
+    app.service.registry().check_open()?;
+    app.service.list_sessions(1, "").await?;
+    Ok("ready\n")
+}
+
+/// Counters and times in the text format of Prometheus.
+#[utoipa::path(get, path = "/metrics", tag = "system", responses(
+    (status = 200, description = "The metrics", body = String)
+))]
+pub(super) async fn metrics(State(app): State<App>) -> impl IntoResponse {
+    let (n_loaded, n_writers) = app.service.registry().n_loaded();
+    metrics::gauge!("monoslam_sessions_loaded").set(n_loaded as f64);
+    metrics::gauge!("monoslam_streams_open").set(n_writers as f64);
+    ([(CONTENT_TYPE, "text/plain; version=0.0.4")], app.metrics.render())
+}

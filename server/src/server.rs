@@ -1,0 +1,121 @@
+//! A running server: two ports, one service, one database.
+
+use crate::config::Config;
+use crate::service::Service;
+use crate::{grpc, rest};
+use anyhow::Context;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+use store::{Store, StoreOptions};
+use tokio::net::TcpListener;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+/// Name of the database in the data folder.
+pub const DATABASE_FILE: &str = "monoslam.sqlite";
+
+/// Starts servers. See [`Server::start`].
+#[derive(Debug)]
+pub struct Server;
+
+impl Server {
+    /// Opens the database and both ports. The server serves until [`Running::shutdown`]; port 0 takes a free one,
+    /// which [`Running`] tells.
+    ///
+    /// # Errors
+    /// If the configuration cannot be used, the database cannot be opened, or a port is taken.
+    pub async fn start(config: Config) -> anyhow::Result<Running> {
+        config.validate()?;
+        let store = open_store(&config).await?;
+        let grpc_listener = listen("grpc_addr", config.grpc_addr).await?;
+        let http_listener = listen("http_addr", config.http_addr).await?;
+        let (grpc_addr, http_addr) = (grpc_listener.local_addr()?, http_listener.local_addr()?);
+        let grace = config.shutdown_grace();
+        let service = Arc::new(Service::new(Arc::new(config), store.clone()).await?);
+
+        let closing = CancellationToken::new();
+        let grpc = grpc::serve(service.clone(), grpc_listener, closing.clone());
+        let http = rest::serve(rest::App::new(service.clone()), http_listener, closing.clone());
+        let tasks = vec![("gRPC", tokio::spawn(grpc)), ("HTTP", tokio::spawn(http))];
+        tracing::info!(%grpc_addr, %http_addr, "serving gRPC on {grpc_addr} and HTTP on {http_addr}");
+        Ok(Running { grpc_addr, http_addr, service, store, closing, tasks, grace })
+    }
+}
+
+/// A server that serves. Dropping it leaves it serving until the runtime ends; call [`Running::shutdown`].
+pub struct Running {
+    /// Where gRPC listens.
+    pub grpc_addr: SocketAddr,
+    /// Where HTTP listens.
+    pub http_addr: SocketAddr,
+    service: Arc<Service>,
+    store: Store,
+    closing: CancellationToken,
+    tasks: Vec<(&'static str, JoinHandle<anyhow::Result<()>>)>,
+    grace: Duration,
+}
+
+/// How a shutdown went.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shutdown {
+    /// Everything ended by itself and is saved.
+    Complete,
+    /// The grace period ran out; what was running was abandoned. The database is whole, as of its last commits.
+    Abandoned,
+}
+
+impl Running {
+    /// The service behind both ports.
+    pub fn service(&self) -> &Arc<Service> {
+        &self.service
+    }
+
+    /// Stops accepting, ends the streams, waits until every session is saved, and closes the database, all within
+    /// the configured grace period.
+    pub async fn shutdown(self) -> Shutdown {
+        let Self { service, store, closing, tasks, grace, .. } = self;
+        tracing::info!("shutting down: no new connections, streams end, sessions are saved");
+        closing.cancel();
+        let aborts: Vec<_> = tasks.iter().map(|(_, task)| task.abort_handle()).collect();
+        let orderly = async {
+            service.registry().shut_down().await;
+            tracing::info!("every session is saved");
+            for (name, task) in tasks {
+                match task.await {
+                    Ok(Ok(())) => {}
+                    Ok(Err(error)) => tracing::error!("serving {name} failed: {error:#}"),
+                    Err(error) => tracing::error!("serving {name} failed: {error}"),
+                }
+            }
+            if let Err(error) = store.close().await {
+                tracing::error!("the database did not close well: {error}");
+            }
+        };
+        if tokio::time::timeout(grace, orderly).await.is_ok() {
+            tracing::info!("shut down, with everything saved");
+            return Shutdown::Complete;
+        }
+        aborts.iter().for_each(tokio::task::AbortHandle::abort);
+        tracing::warn!("the grace period of {grace:?} ran out: what was still running is abandoned");
+        Shutdown::Abandoned
+    }
+}
+
+/// Opens the database of a configuration, making its folder if needed.
+///
+/// # Errors
+/// If the folder cannot be made or the database cannot be opened.
+pub async fn open_store(config: &Config) -> anyhow::Result<Store> {
+    let folder = &config.data_dir;
+    tokio::fs::create_dir_all(folder)
+        .await
+        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let path = folder.join(DATABASE_FILE);
+    let options = StoreOptions { max_bytes: config.limits.max_database_bytes, ..StoreOptions::default() };
+    Store::open(&path, options).await.with_context(|| format!("cannot open the database {}", path.display()))
+}
+
+async fn listen(field: &str, addr: SocketAddr) -> anyhow::Result<TcpListener> {
+    TcpListener::bind(addr).await.with_context(|| format!("{field}: cannot listen on {addr}"))
+}

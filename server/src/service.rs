@@ -1,0 +1,311 @@
+//! What the server does, once for both interfaces.
+
+use crate::config::Config;
+use crate::error::{ApiError, ErrorCode};
+use crate::options::engine_config;
+use crate::session::{FrameQueue, LoadedView, OpenRequest, Registry, Replies, Reply, SessionId};
+use geometry::{Camera, CameraParameters};
+use slam::map::FrameState;
+use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
+use store::{SessionOptions, SessionRecord, Store, StoreError};
+
+/// Sessions or rows on a page if the caller does not say.
+pub const DEFAULT_PAGE_SIZE: u32 = 100;
+/// Sessions or rows on a page at most.
+pub const MAX_PAGE_SIZE: u32 = 1000;
+/// Smallest image side the front end can use, pixels.
+const MIN_IMAGE_PX: (u32, u32) = (160, 120);
+/// Largest image, pixels: what the memory of a session is sized for.
+const MAX_IMAGE_PX: (u32, u32) = (4096, 3072);
+
+/// The one service behind gRPC and HTTP.
+pub struct Service {
+    config: Arc<Config>,
+    store: Store,
+    registry: Registry,
+    /// Sessions there are. Held while one is made, so that two at once cannot pass the limit.
+    n_sessions: tokio::sync::Mutex<u64>,
+}
+
+/// A session to be made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NewSession {
+    /// Its id; `None` lets the server make one.
+    pub id: Option<SessionId>,
+    /// Its camera.
+    pub camera: CameraParameters,
+    /// What it runs with.
+    pub options: SessionOptions,
+}
+
+/// A session, as stored and as it is in memory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SessionView {
+    /// Its name.
+    pub id: String,
+    /// Its camera.
+    pub camera: CameraParameters,
+    /// What it runs with.
+    pub options: SessionOptions,
+    /// Wall-clock time of creation, nanoseconds since 1970.
+    pub created_at_ns: i64,
+    /// How tracking its last frame ended; `None` before the first.
+    pub state: Option<FrameState>,
+    /// Metres per map unit; `None` while the scale is free.
+    pub metres_per_unit: Option<f64>,
+    /// Frames of the trajectory.
+    pub n_frames: u64,
+    /// Key frames.
+    pub n_keyframes: u64,
+    /// Points.
+    pub n_points: u64,
+    /// Submaps that have key frames.
+    pub n_submaps: u32,
+    /// Every frame up to this one is in the database.
+    pub durable_sequence: Option<u64>,
+    /// The frame the server expects next.
+    pub next_sequence: u64,
+    /// Whether the session is in memory.
+    pub loaded: bool,
+    /// Whether a writer is connected.
+    pub has_writer: bool,
+}
+
+/// Some sessions in the order of their ids.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SessionList {
+    /// The sessions.
+    pub sessions: Vec<SessionView>,
+    /// Where the next page begins; `None` on the last.
+    pub next_page_token: Option<String>,
+}
+
+impl Service {
+    /// A service over a database.
+    ///
+    /// # Errors
+    /// If the database cannot be read.
+    pub async fn new(config: Arc<Config>, store: Store) -> Result<Self, ApiError> {
+        let registry = Registry::new(config.clone(), store.clone());
+        let n_sessions = tokio::sync::Mutex::new(count_sessions(&store).await?);
+        Ok(Self { config, store, registry, n_sessions })
+    }
+
+    /// What it runs with.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// The database.
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// The sessions in memory.
+    pub fn registry(&self) -> &Registry {
+        &self.registry
+    }
+
+    /// Makes a session.
+    ///
+    /// # Errors
+    /// If the camera or an option cannot be used, the id is taken, or there are too many sessions.
+    pub async fn create_session(&self, new: NewSession) -> Result<SessionView, ApiError> {
+        self.registry.check_open()?;
+        let NewSession { id, camera, options } = new;
+        check_image_size(&camera, self.config.limits.max_image_pixels)?;
+        let camera = check_camera(camera)?;
+        engine_config(&options)?;
+        let limit = self.config.limits.max_sessions;
+        let mut n_sessions = self.n_sessions.lock().await;
+        if *n_sessions >= limit {
+            let sentence =
+                format!("there are {limit} sessions, as many as this server keeps; delete one first");
+            return Err(ApiError::new(ErrorCode::TooManySessions, sentence));
+        }
+        let id = id.unwrap_or_else(SessionId::generate);
+        let created_at_ns =
+            SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64);
+        let camera = camera.parameters().clone();
+        let new = store::NewSession { id: id.as_str().to_owned(), camera, options, created_at_ns };
+        let record = self.store.create_session(&new).await?;
+        *n_sessions += 1;
+        tracing::info!(session.id = %id, "session {id} was made");
+        Ok(self.view(record))
+    }
+
+    /// A session.
+    ///
+    /// # Errors
+    /// If there is none of this id.
+    pub async fn get_session(&self, id: &SessionId) -> Result<SessionView, ApiError> {
+        Ok(self.view(self.store.get_session(id.as_str()).await?))
+    }
+
+    /// Sessions in the order of their ids; `page_size` 0 takes the default.
+    ///
+    /// # Errors
+    /// If the page token is none of ours or the page too large.
+    pub async fn list_sessions(&self, page_size: u32, page_token: &str) -> Result<SessionList, ApiError> {
+        let page_size = checked_page_size(page_size)?;
+        if !page_token.is_empty() {
+            // A token is the last id of the page before.
+            SessionId::parse(page_token, "page_token")?;
+        }
+        let after = Some(page_token).filter(|token| !token.is_empty());
+        let page = self.store.list_sessions(after, page_size).await?;
+        let sessions = page.sessions.into_iter().map(|record| self.view(record)).collect();
+        Ok(SessionList { sessions, next_page_token: page.next })
+    }
+
+    /// Deletes a session with its map.
+    ///
+    /// # Errors
+    /// If there is none of this id, or a writer is connected.
+    pub async fn delete_session(&self, id: &SessionId) -> Result<(), ApiError> {
+        self.store.get_session(id.as_str()).await?;
+        let delete = async { Ok(self.store.delete_session(id.as_str()).await?) };
+        self.registry.delete(id, delete).await?;
+        let mut n_sessions = self.n_sessions.lock().await;
+        *n_sessions = n_sessions.saturating_sub(1);
+        tracing::info!(session.id = %id, "session {id} was deleted");
+        Ok(())
+    }
+
+    /// Opens a stream of frames into a session; the answers go to `replies`, the session's state first.
+    ///
+    /// # Errors
+    /// If there is no such session, it has a writer, or it cannot be loaded.
+    pub async fn open_stream(
+        &self,
+        request: OpenRequest,
+        replies: Replies,
+    ) -> Result<Arc<FrameQueue>, ApiError> {
+        let id = request.id.clone();
+        self.store.get_session(id.as_str()).await?;
+        let queue = self.registry.open_stream(request, replies.clone()).await?;
+        // Read again: a writer that had to make way has saved its last frames meanwhile.
+        let opened = self.get_session(&id).await;
+        if let Err(error) = &opened {
+            queue.abort(Err(error.clone()));
+        }
+        // The channel is new and has room; if the client has gone, the worker notices.
+        let _ = replies.send(Ok(Reply::Opened(Box::new(opened?)))).await;
+        Ok(queue)
+    }
+
+    fn view(&self, record: SessionRecord) -> SessionView {
+        let loaded = SessionId::parse(&record.id, "id").ok().and_then(|id| self.registry.view(&id));
+        let SessionRecord { id, camera, options, created_at_ns, state, metres_per_unit, last_frame, counts } =
+            record;
+        let durable_sequence = last_frame.map(|(sequence, _)| sequence);
+        let mut view = SessionView {
+            id,
+            camera,
+            options,
+            created_at_ns,
+            state: last_frame.map(|_| state),
+            metres_per_unit,
+            n_frames: counts.n_frames,
+            n_keyframes: counts.n_keyframes,
+            n_points: counts.n_points,
+            n_submaps: counts.n_submaps,
+            durable_sequence,
+            next_sequence: durable_sequence.map_or(0, |sequence| sequence.saturating_add(1)),
+            loaded: loaded.is_some(),
+            has_writer: false,
+        };
+        if let Some(LoadedView { live, has_writer }) = loaded {
+            view.has_writer = has_writer;
+            view.state = live.state.or(view.state);
+            if let Some(last) = live.last_sequence {
+                view.next_sequence = view.next_sequence.max(last.saturating_add(1));
+            }
+            if live.state.is_some() {
+                view.n_keyframes = live.n_keyframes as u64;
+                view.n_points = live.n_points as u64;
+            }
+        }
+        view
+    }
+}
+
+async fn count_sessions(store: &Store) -> Result<u64, ApiError> {
+    let (mut n_sessions, mut after) = (0, None);
+    loop {
+        let page = store.list_sessions(after.as_deref(), MAX_PAGE_SIZE).await?;
+        n_sessions += page.sessions.len() as u64;
+        after = page.next;
+        if after.is_none() {
+            return Ok(n_sessions);
+        }
+    }
+}
+
+/// The size of a page, with its default.
+///
+/// # Errors
+/// If it is too large.
+pub fn checked_page_size(page_size: u32) -> Result<u32, ApiError> {
+    match page_size {
+        0 => Ok(DEFAULT_PAGE_SIZE),
+        1..=MAX_PAGE_SIZE => Ok(page_size),
+        _ => {
+            Err(ApiError::invalid("page_size", format!("is {page_size} but must be at most {MAX_PAGE_SIZE}")))
+        }
+    }
+}
+
+fn check_camera(camera: CameraParameters) -> Result<Camera, ApiError> {
+    Camera::new(camera).map_err(|error| ApiError::invalid(format!("camera.{}", error.field), error.message))
+}
+
+fn check_image_size(camera: &CameraParameters, max_pixels: u64) -> Result<(), ApiError> {
+    let sides = [
+        ("camera.width", camera.width, MIN_IMAGE_PX.0, MAX_IMAGE_PX.0),
+        ("camera.height", camera.height, MIN_IMAGE_PX.1, MAX_IMAGE_PX.1),
+    ];
+    for (field, side, least, most) in sides {
+        if !(least..=most).contains(&side) {
+            return Err(ApiError::invalid(field, format!("is {side} but must be {least} to {most} pixels")));
+        }
+    }
+    if u64::from(camera.width) * u64::from(camera.height) > max_pixels {
+        return Err(ApiError::invalid(
+            "camera.width",
+            format!("images of more than {max_pixels} pixels are refused"),
+        ));
+    }
+    Ok(())
+}
+
+impl From<StoreError> for ApiError {
+    fn from(error: StoreError) -> Self {
+        let code = match &error {
+            StoreError::SessionNotFound { .. } => ErrorCode::SessionNotFound,
+            StoreError::SessionExists { .. } => ErrorCode::SessionExists,
+            StoreError::OutOfRange { .. } => ErrorCode::InvalidArgument,
+            StoreError::DiskFull(_) => ErrorCode::StorageFull,
+            StoreError::Io(_) | StoreError::Busy(_) => ErrorCode::StorageFailed,
+            StoreError::Corrupt(_) | StoreError::Map(_) | StoreError::OtherSettings(_) => ErrorCode::DataLoss,
+            _ => return Self::internal(with_causes(&error)),
+        };
+        if matches!(code, ErrorCode::StorageFailed | ErrorCode::DataLoss) {
+            let cause = with_causes(&error);
+            tracing::error!(cause, "the database failed: {cause}");
+        }
+        Self::new(code, error.to_string())
+    }
+}
+
+/// An error with what caused it, for the log.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    text
+}

@@ -1,0 +1,137 @@
+//! The decoding stage: beside the tracking thread, one frame ahead of it, in order.
+
+use super::frame::{Rejection, SentFrame, SentImage};
+use super::queue::{FrameQueue, Queued};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::SyncSender;
+use std::time::Instant;
+use vision::decode::{DecodeError, DecodeLimits, decode_gray};
+
+/// What tracking takes, in the order of arrival.
+#[derive(Debug)]
+pub enum Decoded {
+    /// A frame ready to be tracked.
+    Frame {
+        /// The frame for the engine.
+        frame: slam::Frame,
+        /// The image as it was sent, to be kept with a key frame.
+        sent: SentImage,
+        /// When it arrived.
+        arrived: Instant,
+    },
+    /// A frame that newer ones pushed out.
+    Dropped(u64),
+    /// A frame that cannot be used.
+    Rejected(Rejection),
+}
+
+/// Decodes what the queue holds until it ends or nobody listens any more.
+pub fn run(queue: &FrameQueue, limits: &DecodeLimits, decoded: &SyncSender<Decoded>) {
+    while let Some(item) = queue.pop_blocking() {
+        let item = match item {
+            Queued::Frame(frame) => decode(frame, limits),
+            Queued::Dropped(sequence) => Decoded::Dropped(sequence),
+            Queued::Rejected(rejection) => Decoded::Rejected(rejection),
+        };
+        if decoded.send(item).is_err() {
+            break;
+        }
+    }
+}
+
+fn decode(frame: SentFrame, limits: &DecodeLimits) -> Decoded {
+    let SentFrame { sequence, timestamp_ns, image: sent, arrived } = frame;
+    // The decoders promise not to panic; a file that breaks the promise costs its own frame, not the session.
+    let outcome = catch_unwind(AssertUnwindSafe(|| decode_gray(&sent.as_encoded(), limits)));
+    match outcome {
+        Ok(Ok(image)) => {
+            let frame = slam::Frame { sequence, timestamp_ns, image };
+            Decoded::Frame { frame, sent, arrived }
+        }
+        Ok(Err(error)) => {
+            let (field, code) = blame(&error);
+            Decoded::Rejected(Rejection { sequence, field, reason: error.to_string(), code })
+        }
+        Err(_panic) => {
+            tracing::error!(frame.sequence = sequence, "the decoder panicked on frame {sequence}");
+            let reason = "the image cannot be decoded".to_owned();
+            Decoded::Rejected(Rejection { sequence, field: "image.data", reason, code: "DECODER_FAILED" })
+        }
+    }
+}
+
+/// The field at fault and the stable name of an error.
+fn blame(error: &DecodeError) -> (&'static str, &'static str) {
+    match error {
+        DecodeError::TooManyBytes { .. } => ("image.data", "TOO_MANY_BYTES"),
+        DecodeError::Empty { .. } => ("image", "EMPTY_IMAGE"),
+        DecodeError::TooSmall { .. } => ("image", "IMAGE_TOO_SMALL"),
+        DecodeError::TooLarge { .. } => ("image", "IMAGE_TOO_LARGE"),
+        DecodeError::StrideTooShort { .. } => ("image.row_stride", "STRIDE_TOO_SHORT"),
+        DecodeError::WrongLength { .. } => ("image.data", "WRONG_DATA_LENGTH"),
+        DecodeError::UnknownFormat => ("image.data", "UNKNOWN_FORMAT"),
+        DecodeError::WrongFormat { .. } => ("image.encoding", "WRONG_FORMAT"),
+        DecodeError::Truncated { .. } => ("image.data", "TRUNCATED_IMAGE"),
+        DecodeError::Malformed { .. } => ("image.data", "MALFORMED_IMAGE"),
+    }
+}
+
+/// A frame the engine refused.
+pub fn rejection_of(error: &slam::FrameError, sequence: u64) -> Rejection {
+    use slam::FrameError;
+    let (field, code) = match error {
+        FrameError::WrongImageSize { .. } => ("image", "WRONG_IMAGE_SIZE"),
+        FrameError::TimestampNotIncreasing { .. } => ("timestamp_ns", "TIMESTAMP_NOT_INCREASING"),
+        FrameError::SequenceNotIncreasing { .. } => ("sequence", "SEQUENCE_NOT_INCREASING"),
+    };
+    Rejection { sequence, field, reason: error.to_string(), code }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::frame::Encoding;
+    use crate::session::queue::Policy;
+    use std::sync::mpsc::sync_channel;
+    use vision::decode::PixelFormat;
+
+    fn raw(sequence: u64, data: &[u8]) -> Queued {
+        let encoding = Encoding::Raw(PixelFormat::Gray8);
+        let data = bytes::Bytes::copy_from_slice(data);
+        let image = SentImage { encoding, width: 160, height: 120, row_stride: 0, data };
+        Queued::Frame(SentFrame { sequence, timestamp_ns: 0, image, arrived: Instant::now() })
+    }
+
+    #[tokio::test]
+    async fn what_was_queued_comes_out_in_order_decoded_or_blamed() {
+        let queue = FrameQueue::new(Policy::Realtime, 2);
+        queue.push(raw(0, &[7; 160 * 120])).await.unwrap();
+        queue.push(raw(1, &[7; 160 * 120])).await.unwrap();
+        queue.push(raw(2, &[7; 5])).await.unwrap();
+        queue.close(Ok(()));
+        let (sender, decoded) = sync_channel(8);
+        run(&queue, &DecodeLimits::default(), &sender);
+        drop(sender);
+        let [first, second, third] = <[Decoded; 3]>::try_from(decoded.iter().collect::<Vec<_>>()).unwrap();
+        assert!(matches!(first, Decoded::Dropped(0)));
+        assert!(
+            matches!(second, Decoded::Frame { frame, .. } if frame.sequence == 1 && frame.image.get(0, 0) == Some(7))
+        );
+        let Decoded::Rejected(rejection) = third else { panic!("{third:?}") };
+        assert_eq!(
+            (rejection.sequence, rejection.field, rejection.code),
+            (2, "image.data", "WRONG_DATA_LENGTH")
+        );
+    }
+
+    #[test]
+    fn decoding_ends_when_nobody_listens() {
+        let queue = FrameQueue::new(Policy::Lossless, 2);
+        let (sender, decoded) = sync_channel(1);
+        drop(decoded);
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        runtime.block_on(queue.push(raw(0, &[7; 160 * 120]))).unwrap();
+        // The queue stays open: were the closed channel not noticed, this would wait for ever.
+        run(&queue, &DecodeLimits::default(), &sender);
+    }
+}

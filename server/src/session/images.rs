@@ -1,0 +1,169 @@
+//! The images of frames that may become key frames, until the map says which did.
+//!
+//! The engine decides about key frames after the frame was handed in: the first map is made from earlier views, and
+//! mapping may run behind tracking. So images of candidates are held, by reference, within bounds.
+
+use super::frame::{Encoding, SentImage};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use slam::MapUpdate;
+use slam::map::{FrameState, KeyframeId};
+use std::collections::VecDeque;
+use vision::decode::PixelFormat;
+
+/// Candidates held at most: over two seconds of video, more than the engine looks back for a first view.
+const MAX_CANDIDATES: usize = 96;
+/// Bytes of candidates held at most.
+const MAX_CANDIDATE_BYTES: usize = 64 << 20;
+
+/// An image to be stored with a key frame.
+#[derive(Clone, Debug)]
+pub struct KeyframeImage {
+    /// The key frame.
+    pub keyframe: KeyframeId,
+    /// The image as it was sent.
+    pub image: SentImage,
+}
+
+/// Holds the images of candidates.
+#[derive(Debug, Default)]
+pub struct CandidateImages {
+    candidates: VecDeque<(u64, SentImage)>,
+    n_bytes: usize,
+}
+
+impl CandidateImages {
+    /// Holds a frame's image if the frame is or may yet become a key frame; the oldest go when there are too many.
+    pub fn offer(&mut self, sequence: u64, image: SentImage, state: FrameState, is_keyframe: bool) {
+        if state == FrameState::Tracked && !is_keyframe {
+            return;
+        }
+        self.n_bytes += image.data.len();
+        self.candidates.push_back((sequence, image));
+        while self.candidates.len() > MAX_CANDIDATES || self.n_bytes > MAX_CANDIDATE_BYTES {
+            let Some((_, oldest)) = self.candidates.pop_front() else { break };
+            self.n_bytes -= oldest.data.len();
+        }
+    }
+
+    /// The images of the key frames that are new in an update.
+    pub fn take_for(&mut self, update: &MapUpdate) -> Vec<KeyframeImage> {
+        let changed = update.changes.keyframes.iter().filter_map(|id| update.map.keyframe(*id));
+        changed
+            .filter_map(|keyframe| Some((keyframe.id, self.take(keyframe.sequence)?)))
+            .map(|(keyframe, image)| KeyframeImage { keyframe, image })
+            .collect()
+    }
+
+    fn take(&mut self, sequence: u64) -> Option<SentImage> {
+        let position = self.candidates.iter().position(|(candidate, _)| *candidate == sequence)?;
+        let (_, image) = self.candidates.remove(position)?;
+        self.n_bytes -= image.data.len();
+        Some(image)
+    }
+}
+
+/// A file of an image, as it is stored and served.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ImageFile {
+    /// `image/png` or `image/jpeg`.
+    pub media_type: &'static str,
+    /// The bytes of the file.
+    pub data: bytes::Bytes,
+}
+
+/// The image as a file: PNG and JPEG as they were sent, pixels as PNG.
+///
+/// `None` if the pixels do not fit the size, which the decoder would have refused before.
+pub fn to_file(image: &SentImage) -> Option<ImageFile> {
+    let format = match image.encoding {
+        Encoding::Raw(format) => format,
+        Encoding::Png | Encoding::Jpeg | Encoding::Auto => {
+            let is_jpeg = image.data.starts_with(&[0xFF, 0xD8, 0xFF]);
+            let media_type = if is_jpeg { "image/jpeg" } else { "image/png" };
+            return Some(ImageFile { media_type, data: image.data.clone() });
+        }
+    };
+    let (pixels, colour) = packed_pixels(image, format)?;
+    let mut data = Vec::new();
+    PngEncoder::new_with_quality(&mut data, CompressionType::Fast, FilterType::Adaptive)
+        .write_image(&pixels, image.width, image.height, colour)
+        .ok()?;
+    Some(ImageFile { media_type: "image/png", data: data.into() })
+}
+
+/// The rows without padding, in an order of channels PNG knows; 16-bit samples in the machine's byte order.
+fn packed_pixels(image: &SentImage, format: PixelFormat) -> Option<(Vec<u8>, ExtendedColorType)> {
+    let row_bytes = image.width as usize * format.bytes_per_pixel();
+    let stride = if image.row_stride == 0 { row_bytes } else { image.row_stride as usize };
+    let mut pixels = Vec::with_capacity(row_bytes * image.height as usize);
+    for y in 0..image.height as usize {
+        let start = y.checked_mul(stride)?;
+        pixels.extend_from_slice(image.data.get(start..start.checked_add(row_bytes)?)?);
+    }
+    let colour = match format {
+        PixelFormat::Gray8 => ExtendedColorType::L8,
+        PixelFormat::Gray16 => {
+            for sample in pixels.chunks_exact_mut(2) {
+                let value = u16::from_le_bytes([sample[0], sample[1]]);
+                sample.copy_from_slice(&value.to_ne_bytes());
+            }
+            ExtendedColorType::L16
+        }
+        PixelFormat::Rgb8 => ExtendedColorType::Rgb8,
+        PixelFormat::Rgba8 => ExtendedColorType::Rgba8,
+        PixelFormat::Bgr8 => {
+            pixels.chunks_exact_mut(3).for_each(|pixel| pixel.swap(0, 2));
+            ExtendedColorType::Rgb8
+        }
+        PixelFormat::Bgra8 => {
+            pixels.chunks_exact_mut(4).for_each(|pixel| pixel.swap(0, 2));
+            ExtendedColorType::Rgba8
+        }
+    };
+    Some((pixels, colour))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn raw(format: PixelFormat, width: u32, height: u32, row_stride: u32, data: &[u8]) -> SentImage {
+        let data = bytes::Bytes::copy_from_slice(data);
+        SentImage { encoding: Encoding::Raw(format), width, height, row_stride, data }
+    }
+
+    #[test]
+    fn raw_pixels_come_back_from_their_png() {
+        let image = raw(PixelFormat::Bgr8, 2, 2, 8, &[1, 2, 3, 4, 5, 6, 0, 0, 7, 8, 9, 10, 11, 12]);
+        let file = to_file(&image).unwrap();
+        assert_eq!(file.media_type, "image/png");
+        let decoded = image::load_from_memory(&file.data).unwrap().into_rgb8();
+        assert_eq!(decoded.into_raw(), [3, 2, 1, 6, 5, 4, 9, 8, 7, 12, 11, 10]);
+    }
+
+    #[test]
+    fn sixteen_bit_pixels_keep_all_their_bits() {
+        let file = to_file(&raw(PixelFormat::Gray16, 2, 1, 0, &[0x34, 0x12, 0xCD, 0xAB])).unwrap();
+        let decoded = image::load_from_memory(&file.data).unwrap().into_luma16();
+        assert_eq!(decoded.into_raw(), [0x1234, 0xABCD]);
+    }
+
+    #[test]
+    fn pixels_that_do_not_fit_the_size_give_no_file() {
+        assert_eq!(to_file(&raw(PixelFormat::Gray8, 4, 4, 0, &[0; 15])), None);
+    }
+
+    #[test]
+    fn candidates_stay_within_their_bounds() {
+        let mut candidates = CandidateImages::default();
+        for sequence in 0..10_000 {
+            let image = raw(PixelFormat::Gray8, 1, 1, 0, &[0; 1 << 10]);
+            candidates.offer(sequence, image, FrameState::Initialising, false);
+        }
+        assert_eq!(candidates.candidates.len(), MAX_CANDIDATES);
+        assert_eq!(candidates.n_bytes, MAX_CANDIDATES << 10);
+        assert!(candidates.take(9_999).is_some());
+        assert!(candidates.take(0).is_none());
+    }
+}

@@ -1,0 +1,126 @@
+//! From a stored session to an engine that goes on with it.
+
+use super::SessionId;
+use super::images::ImageFile;
+use super::writer::Sink;
+use crate::clock::SystemClock;
+use crate::error::{ApiError, ErrorCode};
+use crate::options::engine_config;
+use geometry::Camera;
+use slam::map::{FrameState, KeyframeId};
+use slam::{MapUpdate, Pipeline, ResumeState, SlamConfig};
+use std::sync::{Arc, Mutex, PoisonError};
+use store::{KeyframeImage, LoadedSession, SessionStatus, Store, StoredFrame};
+
+/// Which session of which database.
+pub struct LoadContext<'a> {
+    /// The database.
+    pub store: &'a Store,
+    /// The session.
+    pub id: &'a SessionId,
+}
+
+/// What a session is taken up with.
+pub struct StoredSession {
+    /// Its options ask for repeatable results.
+    pub deterministic: bool,
+    /// How tracking the last stored frame ended.
+    pub last_state: FrameState,
+    config: SlamConfig,
+    camera: Camera,
+    state: ResumeState,
+}
+
+impl StoredSession {
+    /// Number of the last stored frame.
+    pub fn last_sequence(&self) -> Option<u64> {
+        self.state.last_frame.map(|(sequence, _)| sequence)
+    }
+}
+
+impl LoadContext<'_> {
+    /// What is stored of the session's earlier frames.
+    pub fn history(&self) -> History {
+        History { store: self.store.clone(), id: self.id.clone() }
+    }
+
+    /// Where the session's updates are saved.
+    pub fn sink(&self, last_state: FrameState) -> impl Sink + use<> {
+        SessionSink { store: self.store.clone(), id: self.id.clone(), last_state: Mutex::new(last_state) }
+    }
+}
+
+/// Reads a session from the database.
+///
+/// # Errors
+/// If there is none, or what is stored cannot be used.
+pub async fn read(context: &LoadContext<'_>) -> Result<StoredSession, ApiError> {
+    let record = context.store.get_session(context.id.as_str()).await?;
+    let config = engine_config(&record.options)?;
+    let LoadedSession { record, resume: state } =
+        context.store.load_session(context.id.as_str(), &config).await?;
+    let camera = record.checked_camera()?;
+    let (deterministic, last_state) = (record.options.deterministic == Some(true), record.state);
+    Ok(StoredSession { deterministic, last_state, config, camera, state })
+}
+
+/// Makes the engine; takes as long as the map is large, so not on a runtime's thread.
+///
+/// # Errors
+/// If the stored map is inconsistent.
+pub fn resume(stored: StoredSession) -> Result<Pipeline, ApiError> {
+    let StoredSession { config, camera, state, .. } = stored;
+    Pipeline::resume(config, camera, Arc::new(SystemClock::new()), state).map_err(|error| {
+        tracing::error!(error = %error, "a stored session cannot be taken up: {error}");
+        ApiError::new(ErrorCode::DataLoss, "the stored map cannot be taken up; the server's log says why")
+    })
+}
+
+/// The stored frames of one session.
+pub struct History {
+    store: Store,
+    id: SessionId,
+}
+
+impl History {
+    /// What came of a frame; `None` if it is not stored or cannot be read.
+    pub async fn frame(&self, sequence: u64) -> Option<StoredFrame> {
+        match self.store.frame(self.id.as_str(), sequence).await {
+            Ok(frame) => frame,
+            Err(error) => {
+                tracing::warn!(session.id = %self.id, "a stored frame cannot be read: {error}");
+                None
+            }
+        }
+    }
+}
+
+/// Saves the updates of one session.
+struct SessionSink {
+    store: Store,
+    id: SessionId,
+    /// How tracking the last frame ended, for updates without frames.
+    last_state: Mutex<FrameState>,
+}
+
+impl Sink for SessionSink {
+    async fn commit(&self, update: &MapUpdate, images: &[(KeyframeId, ImageFile)]) -> Result<(), ApiError> {
+        let image = |(keyframe, file): &(KeyframeId, ImageFile)| KeyframeImage {
+            keyframe: *keyframe,
+            media_type: file.media_type.to_owned(),
+            bytes: file.data.to_vec(),
+        };
+        let images: Vec<_> = images.iter().map(image).collect();
+        let state = {
+            let mut last_state = self.last_state.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(last) =
+                update.frames.iter().filter(|frame| !frame.backfilled).max_by_key(|frame| frame.sequence)
+            {
+                *last_state = last.state;
+            }
+            *last_state
+        };
+        self.store.save_update(self.id.as_str(), update, SessionStatus { state }, &images).await?;
+        Ok(())
+    }
+}

@@ -1,0 +1,342 @@
+//! The sessions that are in memory, and who writes into them.
+
+use super::load::{self, LoadContext};
+use super::queue::{FrameQueue, Policy};
+use super::worker::{self, Live, Mode, Replies, Stream, WorkerParts};
+use super::{SessionId, writer};
+use crate::config::Config;
+use crate::error::{ApiError, ErrorCode};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use store::Store;
+use tokio::runtime::Handle;
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio_util::sync::CancellationToken;
+
+/// What a client asks of a stream.
+#[derive(Clone, Debug)]
+pub struct OpenRequest {
+    /// The session.
+    pub id: SessionId,
+    /// Whether frames may change the map.
+    pub mode: Mode,
+    /// What happens when frames come faster than they are tracked.
+    pub policy: Policy,
+    /// End the stream of the present writer, if there is one.
+    pub take_over: bool,
+}
+
+/// See the module's documentation.
+pub struct Registry {
+    config: Arc<Config>,
+    store: Store,
+    slots: Mutex<BTreeMap<SessionId, Arc<Slot>>>,
+    closing: AtomicBool,
+}
+
+/// One session's place.
+#[derive(Default)]
+struct Slot {
+    /// Held while a stream is opened or the session deleted: one at a time.
+    opening: tokio::sync::Mutex<()>,
+    loaded: Mutex<Option<Arc<Loaded>>>,
+}
+
+/// A session in memory.
+struct Loaded {
+    streams: mpsc::Sender<Stream>,
+    live: watch::Receiver<Live>,
+    unload: CancellationToken,
+    /// Cancelled when the worker is gone and the writer has saved what it could.
+    ended: CancellationToken,
+    writer: Mutex<Option<Writer>>,
+}
+
+/// The stream that is being served.
+#[derive(Clone)]
+struct Writer {
+    queue: Arc<FrameQueue>,
+    ending_soon: CancellationToken,
+    served: CancellationToken,
+}
+
+/// How a session in memory is doing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoadedView {
+    /// As of its last frame.
+    pub live: Live,
+    /// Whether a writer is connected.
+    pub has_writer: bool,
+}
+
+impl Registry {
+    /// A registry without sessions.
+    pub fn new(config: Arc<Config>, store: Store) -> Self {
+        Self { config, store, slots: Mutex::default(), closing: AtomicBool::new(false) }
+    }
+
+    /// Gives a client the session to write into, loading it if it is not in memory. Answers go to `replies`.
+    ///
+    /// # Errors
+    /// If the session cannot be loaded, has a writer, or the server is closing.
+    pub async fn open_stream(
+        &self,
+        request: OpenRequest,
+        replies: Replies,
+    ) -> Result<Arc<FrameQueue>, ApiError> {
+        let slot = self.slot(&request.id);
+        let _opening = slot.opening.lock().await;
+        let capacity = match request.policy {
+            Policy::Lossless => self.config.sessions.lossless_queue_frames,
+            Policy::Realtime => self.config.sessions.realtime_queue_frames,
+        };
+        let queue = Arc::new(FrameQueue::new(request.policy, capacity));
+        let mut stream = Stream {
+            mode: request.mode,
+            policy: request.policy,
+            queue: queue.clone(),
+            replies,
+            ending_soon: CancellationToken::new(),
+            served: CancellationToken::new(),
+        };
+        let writer = Writer {
+            queue: queue.clone(),
+            ending_soon: stream.ending_soon.clone(),
+            served: stream.served.clone(),
+        };
+        loop {
+            self.check_open()?;
+            let loaded = self.load(&slot, &request.id).await?;
+            loaded.make_way(&request).await?;
+            match loaded.streams.send(stream).await {
+                Ok(()) => {
+                    *lock(&loaded.writer) = Some(writer);
+                    // A shutdown that came in between has not seen this writer.
+                    if self.closing.load(Ordering::SeqCst) {
+                        loaded.end();
+                    }
+                    return Ok(queue);
+                }
+                // The session was about to leave memory: load it anew.
+                Err(mpsc::error::SendError(unsent)) => {
+                    stream = unsent;
+                    loaded.ended.cancelled().await;
+                }
+            }
+        }
+    }
+
+    /// How a session is doing, if it is in memory.
+    pub fn view(&self, id: &SessionId) -> Option<LoadedView> {
+        let slot = lock(&self.slots).get(id).cloned()?;
+        let loaded = slot.present()?;
+        let view = LoadedView { live: loaded.live.borrow().clone(), has_writer: loaded.writer().is_some() };
+        Some(view)
+    }
+
+    /// Sessions in memory, and how many of them have a writer.
+    pub fn n_loaded(&self) -> (usize, usize) {
+        let loaded = self.all_loaded();
+        (loaded.len(), loaded.iter().filter(|session| session.writer().is_some()).count())
+    }
+
+    /// Takes a session out of memory and runs `delete` while nobody can load it.
+    ///
+    /// # Errors
+    /// If a writer is connected, or what `delete` says.
+    pub async fn delete(
+        &self,
+        id: &SessionId,
+        delete: impl Future<Output = Result<(), ApiError>>,
+    ) -> Result<(), ApiError> {
+        let slot = self.slot(id);
+        let _opening = slot.opening.lock().await;
+        if let Some(loaded) = slot.present() {
+            if loaded.writer().is_some() {
+                let sentence =
+                    format!("a client streams into session {id}; end its stream before deleting the session");
+                return Err(ApiError::new(ErrorCode::WriterConnected, sentence));
+            }
+            loaded.unload.cancel();
+            loaded.ended.cancelled().await;
+        }
+        delete.await?;
+        lock(&self.slots).remove(id);
+        Ok(())
+    }
+
+    /// Takes no new streams, ends the present ones, and waits until every session is saved and gone.
+    pub async fn shut_down(&self) {
+        self.closing.store(true, Ordering::SeqCst);
+        let all = self.all_loaded();
+        all.iter().for_each(|loaded| loaded.end());
+        for loaded in all {
+            loaded.ended.cancelled().await;
+        }
+        // Whoever was opening a stream meanwhile has seen `closing`, or its session ends here.
+        let slots: Vec<_> = lock(&self.slots).values().cloned().collect();
+        for slot in slots {
+            let _opening = slot.opening.lock().await;
+            if let Some(loaded) = slot.present() {
+                loaded.end();
+                loaded.ended.cancelled().await;
+            }
+        }
+    }
+
+    /// Whether streams are taken.
+    ///
+    /// # Errors
+    /// If the server is closing.
+    pub fn check_open(&self) -> Result<(), ApiError> {
+        if self.closing.load(Ordering::SeqCst) { Err(shutting_down()) } else { Ok(()) }
+    }
+
+    fn slot(&self, id: &SessionId) -> Arc<Slot> {
+        lock(&self.slots).entry(id.clone()).or_default().clone()
+    }
+
+    fn all_loaded(&self) -> Vec<Arc<Loaded>> {
+        lock(&self.slots).values().filter_map(|slot| slot.present()).collect()
+    }
+
+    /// The session in memory. The caller holds the slot's `opening`.
+    async fn load(&self, slot: &Slot, id: &SessionId) -> Result<Arc<Loaded>, ApiError> {
+        if let Some(loaded) = slot.present() {
+            return Ok(loaded);
+        }
+        self.make_room().await?;
+        let loaded = Arc::new(self.start(id).await?);
+        *lock(&slot.loaded) = Some(loaded.clone());
+        Ok(loaded)
+    }
+
+    /// Sends a session without a writer out of memory if there are too many.
+    async fn make_room(&self) -> Result<(), ApiError> {
+        let limit = self.config.limits.max_loaded_sessions;
+        let all = self.all_loaded();
+        if all.len() < limit {
+            return Ok(());
+        }
+        let Some(idle) = all.iter().find(|loaded| loaded.writer().is_none()) else {
+            let sentence =
+                format!("{limit} sessions are in use, as many as this server takes; try again later");
+            return Err(ApiError::new(ErrorCode::TooManyLoadedSessions, sentence));
+        };
+        idle.unload.cancel();
+        idle.ended.cancelled().await;
+        Ok(())
+    }
+
+    async fn start(&self, id: &SessionId) -> Result<Loaded, ApiError> {
+        let context = LoadContext { store: &self.store, id };
+        let stored = load::read(&context).await?;
+        let one_by_one = stored.deterministic;
+        let (last_sequence, retry) = (stored.last_sequence(), self.config.sessions.save_retry());
+        let (outbox, saving) =
+            writer::start(context.sink(stored.last_state), last_sequence, one_by_one, retry);
+        let history = context.history();
+        let (streams_sender, streams) = mpsc::channel(1);
+        let (live_sender, live) = watch::channel(Live::default());
+        let (unload, ended) = (CancellationToken::new(), CancellationToken::new());
+        let (ready_sender, ready) = oneshot::channel();
+
+        let (id, config, runtime) = (id.clone(), self.config.clone(), Handle::current());
+        let (unload_worker, ended_guard) = (unload.clone(), ended.clone().drop_guard());
+        let thread = std::thread::Builder::new().name(format!("session-{id}"));
+        let run = move || {
+            let _ended = ended_guard;
+            let pipeline = match load::resume(stored) {
+                Ok(pipeline) => pipeline,
+                Err(error) => {
+                    outbox.close();
+                    let _ = ready_sender.send(Err(error));
+                    return;
+                }
+            };
+            let _ = ready_sender.send(Ok(()));
+            tracing::info!(session.id = %id, "session {id} is in memory");
+            let parts = WorkerParts {
+                id,
+                pipeline,
+                outbox,
+                history,
+                last_sequence,
+                decode_limits: config.decode_limits(),
+                keep_images: config.sessions.keep_keyframe_images,
+                idle_unload: config.sessions.idle_unload(),
+                streams,
+                unload: unload_worker,
+                live: live_sender,
+            };
+            worker::run(parts, &runtime);
+            if let Err(error) = runtime.block_on(saving) {
+                tracing::error!(error = %error, "a session's writer failed: {error}");
+            }
+        };
+        thread.spawn(run).map_err(ApiError::internal)?;
+        ready.await.map_err(ApiError::internal)??;
+        Ok(Loaded { streams: streams_sender, live, unload, ended, writer: Mutex::default() })
+    }
+}
+
+impl Slot {
+    /// The session, if it is in memory.
+    fn present(&self) -> Option<Arc<Loaded>> {
+        let mut loaded = lock(&self.loaded);
+        if loaded.as_ref().is_some_and(|loaded| loaded.ended.is_cancelled()) {
+            *loaded = None;
+        }
+        loaded.clone()
+    }
+}
+
+impl Loaded {
+    /// The stream that is being served, if there is one.
+    fn writer(&self) -> Option<Writer> {
+        lock(&self.writer).clone().filter(|writer| !writer.served.is_cancelled())
+    }
+
+    /// Waits until nobody writes: for a stream that is about to end anyway, or, taking over, by ending it.
+    async fn make_way(&self, request: &OpenRequest) -> Result<(), ApiError> {
+        let Some(writer) = self.writer() else { return Ok(()) };
+        if !writer.queue.is_closed() {
+            let id = &request.id;
+            if !request.take_over {
+                let sentence =
+                    format!("another client streams into session {id}; set take_over to end its stream");
+                return Err(ApiError::new(ErrorCode::WriterConnected, sentence));
+            }
+            let sentence = format!("another client took over session {id}");
+            writer.queue.abort(Err(ApiError::new(ErrorCode::TakenOver, sentence)));
+        }
+        if request.take_over {
+            writer.ending_soon.cancel();
+        }
+        // Also ends when the session fails meanwhile.
+        tokio::select! {
+            () = writer.served.cancelled() => {}
+            () = self.ended.cancelled() => {}
+        }
+        Ok(())
+    }
+
+    /// Ends the stream, serving the frames that are queued, and then the session.
+    fn end(&self) {
+        if let Some(writer) = self.writer() {
+            writer.queue.close(Err(shutting_down()));
+            writer.ending_soon.cancel();
+        }
+        self.unload.cancel();
+    }
+}
+
+fn shutting_down() -> ApiError {
+    let sentence = "the server is shutting down; reconnect and go on from next_sequence";
+    ApiError::new(ErrorCode::ShuttingDown, sentence)
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,360 @@
+//! The thread that owns a session. Nothing else touches its pipeline.
+//!
+//! It serves one stream at a time: a decoding thread beside it takes frames from the stream's queue, this thread
+//! tracks them, answers go back through a bounded channel, and map updates go to the session's writer. At the end of
+//! a stream everything is flushed before the client sees the end.
+
+use super::decoder::{self, Decoded};
+use super::frame::{Answer, Before, Rejection, Reply, SentImage};
+use super::images::CandidateImages;
+use super::load::History;
+use super::queue::{Ending, FrameQueue, Policy};
+use super::recent::RecentAnswers;
+use super::writer::Outbox;
+use crate::error::{ApiError, ErrorCode};
+use slam::map::FrameState;
+use slam::{FrameReport, Pipeline, TrackingOutcome};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+use std::time::{Duration, Instant};
+use tokio::runtime::Handle;
+use tokio::sync::{mpsc, watch};
+use tokio_util::sync::CancellationToken;
+use vision::decode::DecodeLimits;
+
+/// Decoded frames that wait for tracking: one, so that decoding overlaps tracking. The decoder waits when it is full.
+const DECODED_AHEAD: usize = 1;
+/// How long an answer may wait for a client once its stream is to end.
+const LAST_ANSWERS_PATIENCE: Duration = Duration::from_secs(1);
+
+/// Whether a stream may change the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Frames extend the map.
+    MapAndLocalize,
+    /// Frames are only located in it.
+    LocalizeOnly,
+}
+
+/// Messages to the client of a stream; the last may be the error that ended it.
+pub type Replies = mpsc::Sender<Result<Reply, ApiError>>;
+
+/// A stream to be served.
+#[derive(Debug)]
+pub struct Stream {
+    /// Whether it may change the map.
+    pub mode: Mode,
+    /// What happens when frames come faster than they are tracked.
+    pub policy: Policy,
+    /// Its frames.
+    pub queue: Arc<FrameQueue>,
+    /// Where the answers go. When it is full the session waits for the client.
+    pub replies: Replies,
+    /// Cancelled when the stream is to end soon, so that a client that does not read cannot hold it up.
+    pub ending_soon: CancellationToken,
+    /// Cancelled by the worker when the stream has been served.
+    pub served: CancellationToken,
+}
+
+/// How a loaded session is doing, as of its last frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Live {
+    /// How tracking the last frame ended, if there was one since the session was loaded.
+    pub state: Option<FrameState>,
+    /// Number of the last frame, if there ever was one.
+    pub last_sequence: Option<u64>,
+    /// Frames tracked since the session was loaded.
+    pub n_frames: u64,
+    /// Key frames in the map.
+    pub n_keyframes: usize,
+    /// Points in the map.
+    pub n_points: usize,
+}
+
+/// What a worker is started with.
+pub struct WorkerParts {
+    /// The session's id, for the log.
+    pub id: super::SessionId,
+    /// The engine.
+    pub pipeline: Pipeline,
+    /// The writer.
+    pub outbox: Outbox,
+    /// What is stored of earlier frames.
+    pub history: History,
+    /// Number of the last stored frame.
+    pub last_sequence: Option<u64>,
+    /// What images are accepted.
+    pub decode_limits: DecodeLimits,
+    /// Keep the images of key frames.
+    pub keep_images: bool,
+    /// Time without a stream after which the session ends.
+    pub idle_unload: Duration,
+    /// Streams to serve, one after the other.
+    pub streams: mpsc::Receiver<Stream>,
+    /// Cancelled when the session is to end once its stream has.
+    pub unload: CancellationToken,
+    /// The registry's view of the session.
+    pub live: watch::Sender<Live>,
+}
+
+/// Runs a session until it is idle, told to end, or fails. Call on a thread of its own, with a runtime at hand.
+pub fn run(parts: WorkerParts, runtime: &Handle) {
+    let WorkerParts { id, mut streams, unload, idle_unload, outbox, .. } = parts;
+    let mut worker = Worker {
+        pipeline: parts.pipeline,
+        outbox,
+        history: parts.history,
+        last_sequence: parts.last_sequence,
+        decode_limits: parts.decode_limits,
+        keep_images: parts.keep_images,
+        live: parts.live,
+        recent: RecentAnswers::default(),
+        images: CandidateImages::default(),
+        n_frames: 0,
+        runtime: runtime.clone(),
+    };
+    worker.publish(None);
+    while let Some(stream) = next_stream(&mut streams, idle_unload, &unload, &worker.outbox, runtime) {
+        let served = stream.served.clone();
+        let replies = stream.replies.clone();
+        let queue = stream.queue.clone();
+        let outcome = catch_unwind(AssertUnwindSafe(|| worker.serve(stream)));
+        served.cancel();
+        if let Err(panic) = outcome {
+            let cause = panic_message(&*panic);
+            tracing::error!(session.id = %id, cause, "session {id} failed and is closed: {cause}");
+            let sentence =
+                "the session failed and was closed; open it again to go on from its last saved frame";
+            let error = ApiError::new(ErrorCode::SessionFailed, sentence);
+            queue.abort(Err(error.clone()));
+            let _ = replies.try_send(Err(error.clone()));
+            metrics::counter!("monoslam_session_failures_total").increment(1);
+            // Whoever was let in meanwhile must not wait for an answer that never comes.
+            streams.close();
+            while let Ok(next) = streams.try_recv() {
+                let _ = next.replies.try_send(Err(error.clone()));
+                next.queue.abort(Err(error.clone()));
+            }
+            // What the engine holds cannot be trusted any more, and is not saved.
+            worker.outbox.close();
+            return;
+        }
+    }
+    let outcome = catch_unwind(AssertUnwindSafe(|| worker.flush()));
+    if !matches!(outcome, Ok(Ok(()))) {
+        tracing::error!(session.id = %id, "session {id} ends without its last frames saved");
+    }
+    worker.outbox.close();
+    tracing::info!(session.id = %id, "session {id} left memory");
+}
+
+/// Waits for a stream. `None` once the session is to end: then the channel is closed, and what came just before that
+/// is still served.
+fn next_stream(
+    streams: &mut mpsc::Receiver<Stream>,
+    idle_unload: Duration,
+    unload: &CancellationToken,
+    outbox: &Outbox,
+    runtime: &Handle,
+) -> Option<Stream> {
+    runtime.block_on(async {
+        loop {
+            tokio::select! {
+                biased;
+                stream = streams.recv() => return stream,
+                () = unload.cancelled() => break,
+                // A session that cannot be saved stays: its frames are in no other place.
+                () = tokio::time::sleep(idle_unload) => if outbox.is_idle() { break },
+            }
+        }
+        streams.close();
+        streams.recv().await
+    })
+}
+
+struct Worker {
+    pipeline: Pipeline,
+    outbox: Outbox,
+    history: History,
+    last_sequence: Option<u64>,
+    decode_limits: DecodeLimits,
+    keep_images: bool,
+    live: watch::Sender<Live>,
+    recent: RecentAnswers,
+    images: CandidateImages,
+    n_frames: u64,
+    runtime: Handle,
+}
+
+/// The client of the stream does not listen any more.
+struct ClientGone;
+
+impl Worker {
+    /// Serves one stream to its end.
+    fn serve(&mut self, stream: Stream) {
+        self.pipeline.set_mapping(stream.mode == Mode::MapAndLocalize);
+        self.pipeline.set_lossless(stream.policy == Policy::Lossless);
+        self.track_all(&stream);
+        let saved = self.flush();
+        let ending: Ending = match stream.queue.ending() {
+            Some(Err(error)) => Err(error),
+            Some(Ok(())) | None => saved,
+        };
+        stream.served.cancel();
+        if let Err(error) = ending {
+            let _ = self.send(&stream, Err(error));
+        }
+    }
+
+    fn track_all(&mut self, stream: &Stream) {
+        let (sender, decoded) = sync_channel(DECODED_AHEAD);
+        let limits = self.decode_limits;
+        std::thread::scope(|scope| {
+            // Dropped before the scope joins the decoder, also in a panic, so that the decoder ends.
+            let decoded = decoded;
+            let _end_decoder = AbortOnDrop(&stream.queue);
+            let decoder = std::thread::Builder::new().name("decode".into());
+            let queue = &*stream.queue;
+            if let Err(error) = decoder.spawn_scoped(scope, move || decoder::run(queue, &limits, &sender)) {
+                queue.abort(Err(ApiError::internal(error)));
+                return;
+            }
+            for item in decoded {
+                if let Some(failure) = self.outbox.failure() {
+                    stream.queue.abort(Err(failure));
+                    break;
+                }
+                if self.handle(stream, item).is_err() {
+                    break;
+                }
+            }
+        });
+    }
+
+    fn handle(&mut self, stream: &Stream, item: Decoded) -> Result<(), ClientGone> {
+        let reply = match item {
+            Decoded::Frame { frame, sent, arrived } => self.track(frame, sent, arrived),
+            Decoded::Dropped(sequence) => {
+                metrics::counter!("monoslam_frames_total", "outcome" => "dropped").increment(1);
+                Reply::Dropped(sequence)
+            }
+            Decoded::Rejected(rejection) => rejected(rejection),
+        };
+        self.send(stream, Ok(reply))
+    }
+
+    fn track(&mut self, frame: slam::Frame, sent: SentImage, arrived: Instant) -> Reply {
+        let (sequence, timestamp_ns) = (frame.sequence, frame.timestamp_ns);
+        if self.last_sequence.is_some_and(|last| sequence <= last) {
+            return self.repeat(sequence, timestamp_ns);
+        }
+        let queued_ns = arrived.elapsed().as_nanos() as u64;
+        let report = match self.pipeline.process_frame(frame) {
+            Ok(report) => report,
+            Err(error) => return rejected(decoder::rejection_of(&error, sequence)),
+        };
+        self.last_sequence = Some(sequence);
+        self.n_frames += 1;
+        let state = report.outcome.state();
+        if self.keep_images {
+            self.images.offer(sequence, sent, state, report.is_keyframe);
+        }
+        self.hand_over_updates(Pipeline::take_updates);
+        self.publish(Some(state));
+        record_frame(&report, queued_ns);
+        self.recent.remember(report.clone());
+        let durable_sequence = self.outbox.durable_sequence();
+        Reply::Answered(Box::new(Answer { report, durable_sequence, queued_ns }))
+    }
+
+    /// The answer to a frame that was answered before.
+    fn repeat(&self, sequence: u64, timestamp_ns: i64) -> Reply {
+        let before = match self.recent.get(sequence) {
+            Some(report) => Some(Before::Recent(Box::new(report.clone()))),
+            None => self.runtime.block_on(self.history.frame(sequence)).map(Before::Stored),
+        };
+        Reply::Repeated { sequence, timestamp_ns, before, durable_sequence: self.outbox.durable_sequence() }
+    }
+
+    /// Finishes what mapping has begun and waits until everything is saved.
+    fn flush(&mut self) -> Result<(), ApiError> {
+        self.hand_over_updates(Pipeline::finish);
+        self.publish(self.live.borrow().state);
+        self.runtime.block_on(self.outbox.flush())
+    }
+
+    fn hand_over_updates(&mut self, take: impl FnOnce(&mut Pipeline) -> Vec<slam::MapUpdate>) {
+        for update in take(&mut self.pipeline) {
+            let images = self.images.take_for(&update);
+            self.outbox.push(update, images);
+        }
+    }
+
+    fn publish(&self, state: Option<FrameState>) {
+        let map = self.pipeline.map();
+        let live = Live {
+            state,
+            last_sequence: self.last_sequence,
+            n_frames: self.n_frames,
+            n_keyframes: map.n_keyframes(),
+            n_points: map.n_points(),
+        };
+        self.live.send_replace(live);
+    }
+
+    /// Sends to the client, waiting for it to read; once the stream is to end, only a little longer.
+    fn send(&self, stream: &Stream, message: Result<Reply, ApiError>) -> Result<(), ClientGone> {
+        let message = match stream.replies.try_send(message) {
+            Ok(()) => return Ok(()),
+            Err(mpsc::error::TrySendError::Closed(_)) => return Err(ClientGone),
+            Err(mpsc::error::TrySendError::Full(message)) => message,
+        };
+        self.runtime.block_on(async {
+            let patience = async {
+                stream.ending_soon.cancelled().await;
+                tokio::time::sleep(LAST_ANSWERS_PATIENCE).await;
+            };
+            tokio::select! {
+                sent = stream.replies.send(message) => sent.map_err(|_closed| ClientGone),
+                () = patience => Err(ClientGone),
+            }
+        })
+    }
+}
+
+/// Ends the queue when serving it ends, however that comes.
+struct AbortOnDrop<'a>(&'a FrameQueue);
+
+impl Drop for AbortOnDrop<'_> {
+    fn drop(&mut self) {
+        self.0.abort(Ok(()));
+    }
+}
+
+fn rejected(rejection: Rejection) -> Reply {
+    metrics::counter!("monoslam_frames_total", "outcome" => "rejected").increment(1);
+    Reply::Rejected(rejection)
+}
+
+fn record_frame(report: &FrameReport, queued_ns: u64) {
+    let outcome = match report.outcome {
+        TrackingOutcome::Initialising(_) => "initialising",
+        TrackingOutcome::Tracked => "tracked",
+        TrackingOutcome::Weak { .. } => "weak",
+        TrackingOutcome::Lost(_) => "lost",
+    };
+    let seconds = |nanoseconds: u64| nanoseconds as f64 * 1e-9;
+    metrics::counter!("monoslam_frames_total", "outcome" => outcome).increment(1);
+    metrics::histogram!("monoslam_frame_seconds").record(seconds(report.wall_ns));
+    metrics::histogram!("monoslam_frame_cpu_seconds").record(seconds(report.cpu_ns));
+    metrics::histogram!("monoslam_frame_queued_seconds").record(seconds(queued_ns));
+    for stage in &report.stages {
+        metrics::histogram!("monoslam_stage_seconds", "stage" => stage.name).record(seconds(stage.wall_ns));
+    }
+}
+
+fn panic_message(panic: &(dyn std::any::Any + Send)) -> &str {
+    let text = panic.downcast_ref::<&str>().copied();
+    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("a panic without a message")
+}

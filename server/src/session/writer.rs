@@ -1,0 +1,341 @@
+//! Saves a session's map updates, one transaction each, beside tracking.
+//!
+//! Tracking hands an update over under a short lock and goes on. While a transaction runs, updates that follow are
+//! merged into one, so a slow disk makes transactions larger, never the queue longer. A deterministic session is
+//! saved update by update, so that what its database holds does not depend on time; it waits for the disk instead.
+
+use super::images::{ImageFile, KeyframeImage, to_file};
+use crate::error::ApiError;
+use slam::MapUpdate;
+use slam::map::KeyframeId;
+use std::collections::VecDeque;
+use std::future::Future;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::sync::{Notify, watch};
+
+/// Updates a deterministic session may be ahead of the disk before it waits. Others merge into one.
+const MAX_UPDATES_AHEAD: usize = 16;
+/// Bytes of key frames' images that wait to be saved, at most; further ones are left out with a warning. Poses and
+/// landmarks are never left out.
+const MAX_WAITING_IMAGE_BYTES: usize = 128 << 20;
+
+/// Where updates are saved.
+pub trait Sink: Send + Sync + 'static {
+    /// Saves an update with images of key frames as one transaction: all of it or nothing.
+    fn commit(
+        &self,
+        update: &MapUpdate,
+        images: &[(KeyframeId, ImageFile)],
+    ) -> impl Future<Output = Result<(), ApiError>> + Send;
+}
+
+/// What is saved so far.
+#[derive(Clone, Debug, Default)]
+pub struct Saved {
+    /// Every frame up to this one is saved.
+    pub durable_sequence: Option<u64>,
+    /// Updates saved since the writer started.
+    pub n_updates: u64,
+    /// Attempts to save since the writer started.
+    pub n_attempts: u64,
+    /// Why the last attempt failed, if it did. It is repeated until it succeeds.
+    pub failure: Option<ApiError>,
+}
+
+/// The tracking thread's end of the writer.
+#[derive(Clone, Debug)]
+pub struct Outbox {
+    shared: Arc<Shared>,
+    saved: watch::Receiver<Saved>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    one_by_one: bool,
+    waiting: Mutex<Waiting>,
+    /// Wakes the writer: something to save, or someone waits for it.
+    wake: Notify,
+    /// Wakes a deterministic session that waits for the disk.
+    room: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct Waiting {
+    updates: VecDeque<Batch>,
+    image_bytes: usize,
+    /// Updates handed over since the start.
+    n_updates: u64,
+    closed: bool,
+}
+
+/// What is saved in one transaction.
+#[derive(Debug)]
+struct Batch {
+    update: MapUpdate,
+    images: Vec<KeyframeImage>,
+    /// The number of the last update in it.
+    last_update: u64,
+}
+
+impl Batch {
+    fn merge(&mut self, later: Batch) {
+        self.update.merge(later.update);
+        self.images.extend(later.images);
+        self.last_update = later.last_update;
+    }
+}
+
+/// Starts the task that saves. It ends when every [`Outbox`] was closed and everything is saved or was tried once more.
+pub fn start(
+    sink: impl Sink,
+    durable_sequence: Option<u64>,
+    one_by_one: bool,
+    retry_after: Duration,
+) -> (Outbox, tokio::task::JoinHandle<()>) {
+    let shared =
+        Arc::new(Shared { one_by_one, waiting: Mutex::default(), wake: Notify::new(), room: Condvar::new() });
+    let (saved, saved_receiver) = watch::channel(Saved { durable_sequence, ..Saved::default() });
+    let task = tokio::spawn(save_all(shared.clone(), sink, saved, retry_after));
+    (Outbox { shared, saved: saved_receiver }, task)
+}
+
+impl Outbox {
+    /// Hands an update over. Returns at once, save in a deterministic session that is far ahead of a working disk.
+    pub fn push(&self, update: MapUpdate, mut images: Vec<KeyframeImage>) {
+        let mut waiting = self.shared.lock();
+        if self.shared.one_by_one {
+            while waiting.updates.len() >= MAX_UPDATES_AHEAD && self.failure().is_none() && !waiting.closed {
+                // The timeout is for a failure that comes up meanwhile, which nobody signals here.
+                let turn = self.shared.room.wait_timeout(waiting, Duration::from_millis(100));
+                waiting = turn.unwrap_or_else(PoisonError::into_inner).0;
+            }
+        }
+        waiting.n_updates += 1;
+        let n_bytes: usize = images.iter().map(|image| image.image.data.len()).sum();
+        if waiting.image_bytes + n_bytes > MAX_WAITING_IMAGE_BYTES {
+            tracing::warn!(
+                n_images = images.len(),
+                "images of key frames are left out: saving is too far behind"
+            );
+            images.clear();
+        } else {
+            waiting.image_bytes += n_bytes;
+        }
+        let batch = Batch { update, images, last_update: waiting.n_updates };
+        match waiting.updates.back_mut() {
+            Some(last) if !self.shared.one_by_one => last.merge(batch),
+            _ => waiting.updates.push_back(batch),
+        }
+        drop(waiting);
+        self.shared.wake.notify_one();
+    }
+
+    /// Every frame up to this one is saved.
+    pub fn durable_sequence(&self) -> Option<u64> {
+        self.saved.borrow().durable_sequence
+    }
+
+    /// Why saving fails at present, if it does.
+    pub fn failure(&self) -> Option<ApiError> {
+        self.saved.borrow().failure.clone()
+    }
+
+    /// Whether everything handed over is saved.
+    pub fn is_idle(&self) -> bool {
+        self.saved.borrow().n_updates >= self.shared.lock().n_updates
+    }
+
+    /// Waits until everything handed over so far is saved, with a new attempt if the last one failed.
+    ///
+    /// # Errors
+    /// Why it could not be saved. It is kept and tried again.
+    pub async fn flush(&self) -> Result<(), ApiError> {
+        let n_updates = self.shared.lock().n_updates;
+        let mut saved = self.saved.clone();
+        let n_attempts = saved.borrow_and_update().n_attempts;
+        self.shared.wake.notify_one();
+        let finished = saved.wait_for(|saved| {
+            saved.n_updates >= n_updates || (saved.failure.is_some() && saved.n_attempts > n_attempts)
+        });
+        let outcome = match finished.await {
+            Ok(saved) if saved.n_updates >= n_updates => Ok(()),
+            Ok(saved) => Err(saved.failure.clone()),
+            Err(_ended) => Err(None),
+        };
+        outcome.map_err(|failure| failure.unwrap_or_else(|| ApiError::internal("the writer has ended early")))
+    }
+
+    /// Lets the writer end once it is through with what it has.
+    pub fn close(&self) {
+        self.shared.lock().closed = true;
+        self.shared.wake.notify_one();
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Waiting> {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn take(&self) -> Option<Batch> {
+        let mut waiting = self.lock();
+        let batch = waiting.updates.pop_front()?;
+        waiting.image_bytes -= batch.images.iter().map(|image| image.image.data.len()).sum::<usize>();
+        self.room.notify_all();
+        Some(batch)
+    }
+
+    /// Puts back what could not be saved, joined with what came after it.
+    fn put_back(&self, mut batch: Batch) {
+        let mut waiting = self.lock();
+        waiting.image_bytes += batch.images.iter().map(|image| image.image.data.len()).sum::<usize>();
+        if !self.one_by_one
+            && let Some(later) = waiting.updates.pop_front()
+        {
+            batch.merge(later);
+        }
+        waiting.updates.push_front(batch);
+    }
+}
+
+async fn save_all(shared: Arc<Shared>, sink: impl Sink, saved: watch::Sender<Saved>, retry_after: Duration) {
+    loop {
+        let Some(batch) = shared.take() else {
+            if shared.lock().closed {
+                return;
+            }
+            shared.wake.notified().await;
+            continue;
+        };
+        let was_closed = shared.lock().closed;
+        match save(&sink, &batch).await {
+            Ok(()) => {
+                let last_frame = batch.update.frames.iter().map(|frame| frame.sequence).max();
+                saved.send_modify(|saved| {
+                    saved.durable_sequence = saved.durable_sequence.max(last_frame);
+                    saved.n_updates = batch.last_update;
+                    saved.n_attempts += 1;
+                    saved.failure = None;
+                });
+            }
+            Err(error) => {
+                shared.put_back(batch);
+                if saved.borrow().failure.is_none() {
+                    tracing::error!(error = %error, "saving failed and will be tried again: {error}");
+                }
+                saved.send_modify(|saved| {
+                    saved.n_attempts += 1;
+                    saved.failure = Some(error);
+                });
+                if was_closed {
+                    return;
+                }
+                let _ = tokio::time::timeout(retry_after, shared.wake.notified()).await;
+            }
+        }
+    }
+}
+
+async fn save(sink: &impl Sink, batch: &Batch) -> Result<(), ApiError> {
+    let images = batch.images.clone();
+    let encode =
+        move || images.iter().filter_map(|image| Some((image.keyframe, to_file(&image.image)?))).collect();
+    let files: Vec<_> = tokio::task::spawn_blocking(encode).await.map_err(ApiError::internal)?;
+    let start = Instant::now();
+    let outcome = sink.commit(&batch.update, &files).await;
+    metrics::histogram!("monoslam_commit_seconds").record(start.elapsed().as_secs_f64());
+    let label = if outcome.is_ok() { "ok" } else { "failed" };
+    metrics::counter!("monoslam_commits_total", "outcome" => label).increment(1);
+    outcome
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::ErrorCode;
+    use slam::Map;
+    use slam::map::{FrameRecord, FrameState, MapChanges};
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    /// Remembers the sequences of each transaction; fails or waits on demand.
+    #[derive(Clone, Default)]
+    struct FakeSink(Arc<Fake>);
+
+    #[derive(Default)]
+    struct Fake {
+        transactions: Mutex<Vec<Vec<u64>>>,
+        full: AtomicBool,
+        slow: AtomicBool,
+        go: Notify,
+    }
+
+    impl Sink for FakeSink {
+        async fn commit(&self, update: &MapUpdate, _: &[(KeyframeId, ImageFile)]) -> Result<(), ApiError> {
+            if self.0.slow.load(Ordering::SeqCst) {
+                self.0.go.notified().await;
+            }
+            if self.0.full.load(Ordering::SeqCst) {
+                return Err(ApiError::new(ErrorCode::StorageFull, "full"));
+            }
+            let sequences = update.frames.iter().map(|frame| frame.sequence).collect();
+            self.0.transactions.lock().unwrap().push(sequences);
+            Ok(())
+        }
+    }
+
+    fn update(sequence: u64) -> MapUpdate {
+        let frame = FrameRecord {
+            sequence,
+            timestamp_ns: sequence as i64,
+            state: FrameState::Initialising,
+            pose: None,
+            backfilled: false,
+        };
+        MapUpdate { map: Arc::new(Map::default()), changes: MapChanges::default(), frames: vec![frame] }
+    }
+
+    const RETRY: Duration = Duration::from_millis(10);
+
+    #[tokio::test]
+    async fn updates_that_come_during_a_transaction_become_one() {
+        let sink = FakeSink::default();
+        sink.0.slow.store(true, Ordering::SeqCst);
+        let (outbox, _task) = start(sink.clone(), None, false, RETRY);
+        outbox.push(update(0), Vec::new());
+        tokio::time::sleep(Duration::from_millis(20)).await;
+        (1..5).for_each(|sequence| outbox.push(update(sequence), Vec::new()));
+        sink.0.slow.store(false, Ordering::SeqCst);
+        sink.0.go.notify_one();
+        outbox.flush().await.unwrap();
+        assert_eq!(*sink.0.transactions.lock().unwrap(), [vec![0], vec![1, 2, 3, 4]]);
+        assert_eq!(outbox.durable_sequence(), Some(4));
+    }
+
+    #[tokio::test]
+    async fn a_deterministic_session_is_saved_update_by_update() {
+        let sink = FakeSink::default();
+        let (outbox, _task) = start(sink.clone(), None, true, RETRY);
+        (0..5).for_each(|sequence| outbox.push(update(sequence), Vec::new()));
+        outbox.flush().await.unwrap();
+        assert_eq!(*sink.0.transactions.lock().unwrap(), [[0], [1], [2], [3], [4]]);
+    }
+
+    #[tokio::test]
+    async fn nothing_is_lost_while_the_disk_is_full() {
+        let sink = FakeSink::default();
+        sink.0.full.store(true, Ordering::SeqCst);
+        let (outbox, task) = start(sink.clone(), Some(6), false, RETRY);
+        outbox.push(update(7), Vec::new());
+        let error = outbox.flush().await.unwrap_err();
+        assert_eq!(error.code, ErrorCode::StorageFull);
+        assert_eq!(outbox.durable_sequence(), Some(6));
+        outbox.push(update(8), Vec::new());
+        sink.0.full.store(false, Ordering::SeqCst);
+        outbox.flush().await.unwrap();
+        assert_eq!(sink.0.transactions.lock().unwrap().concat(), [7, 8]);
+        assert!(outbox.failure().is_none());
+        outbox.close();
+        tokio::time::timeout(Duration::from_secs(5), task).await.unwrap().unwrap();
+    }
+}

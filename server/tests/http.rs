@@ -1,0 +1,216 @@
+//! The HTTP interface, request by request, without a socket.
+
+use axum::Router;
+use axum::body::Body;
+use axum::http::{Method, Request, StatusCode};
+use http_body_util::BodyExt;
+use serde_json::{Value, json};
+use server::{Config, Service, open_store, rest};
+use std::sync::Arc;
+use tempfile::TempDir;
+use tower::ServiceExt;
+
+struct Api {
+    router: Router,
+    _folder: TempDir,
+}
+
+struct Answer {
+    status: StatusCode,
+    content_type: String,
+    body: Vec<u8>,
+}
+
+impl Answer {
+    fn json(&self) -> Value {
+        serde_json::from_slice(&self.body).expect("the body is JSON")
+    }
+
+    /// A problem in the form of RFC 9457 that says the same as the status line.
+    fn problem(&self) -> Value {
+        assert_eq!(self.content_type, "application/problem+json");
+        let problem = self.json();
+        assert_eq!(problem["status"], self.status.as_u16());
+        problem
+    }
+}
+
+impl Api {
+    async fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let config = Config::local(folder.path());
+        let store = open_store(&config).await.unwrap();
+        let service = Arc::new(Service::new(Arc::new(config), store).await.unwrap());
+        Self { router: rest::router(rest::App::new(service)), _folder: folder }
+    }
+
+    async fn send(&self, method: Method, path: &str, body: impl Into<Body>) -> Answer {
+        let request = Request::builder().method(method).uri(path).header("content-type", "application/json");
+        let response = self.router.clone().oneshot(request.body(body.into()).unwrap()).await.unwrap();
+        let content_type =
+            response.headers().get("content-type").map(|value| value.to_str().unwrap().to_owned());
+        Answer {
+            status: response.status(),
+            content_type: content_type.unwrap_or_default(),
+            body: response.into_body().collect().await.unwrap().to_bytes().to_vec(),
+        }
+    }
+
+    async fn get(&self, path: &str) -> Answer {
+        self.send(Method::GET, path, Body::empty()).await
+    }
+
+    async fn post(&self, path: &str, body: &Value) -> Answer {
+        self.send(Method::POST, path, body.to_string()).await
+    }
+}
+
+fn kitchen() -> Value {
+    json!({
+        "id": "kitchen",
+        "camera": {
+            "model": "radtan", "width": 640, "height": 480, "fx": 525.0, "fy": 524.5, "cx": 319.5, "cy": 239.5,
+            "distortion": [0.1, -0.2, 0.001, 0.002]
+        },
+        "options": { "seed": 7, "n_features": 1200 }
+    })
+}
+
+#[tokio::test]
+async fn a_session_is_made_read_listed_and_deleted() {
+    let api = Api::new().await;
+    let made = api.post("/v1/sessions", &kitchen()).await;
+    assert_eq!(made.status, StatusCode::CREATED);
+    insta::assert_json_snapshot!("session", made.json(), { ".created_at_ns" => "[time]" });
+    assert_eq!(api.get("/v1/sessions/kitchen").await.json(), made.json());
+    let page = api.get("/v1/sessions").await.json();
+    assert_eq!(page, json!({ "sessions": [made.json()], "next_page_token": null }));
+
+    let again = api.post("/v1/sessions", &kitchen()).await;
+    assert_eq!(again.status, StatusCode::CONFLICT);
+    insta::assert_json_snapshot!("session_exists", again.problem());
+
+    let deleted = api.send(Method::DELETE, "/v1/sessions/kitchen", Body::empty()).await;
+    assert_eq!((deleted.status, deleted.body.len()), (StatusCode::NO_CONTENT, 0));
+    let gone = api.get("/v1/sessions/kitchen").await;
+    assert_eq!(gone.status, StatusCode::NOT_FOUND);
+    insta::assert_json_snapshot!("session_not_found", gone.problem());
+}
+
+#[tokio::test]
+async fn wrong_fields_are_named() {
+    let api = Api::new().await;
+    let mut wrong_camera = kitchen();
+    wrong_camera["camera"]["fx"] = json!(-3.0);
+    let answer = api.post("/v1/sessions", &wrong_camera).await;
+    assert_eq!(answer.status, StatusCode::BAD_REQUEST);
+    insta::assert_json_snapshot!("wrong_camera", answer.problem());
+
+    let mut unknown_field = kitchen();
+    unknown_field["camera"]["focal"] = json!(1.0);
+    let mut wrong_model = kitchen();
+    wrong_model["camera"]["model"] = json!("fish");
+    for (request, word) in
+        [(unknown_field, "focal"), (wrong_model, "fish"), (json!({}), "camera"), (json!([]), "body")]
+    {
+        let answer = api.post("/v1/sessions", &request).await;
+        assert_eq!(answer.status, StatusCode::BAD_REQUEST, "{request}");
+        assert!(answer.problem().to_string().contains(word), "{} does not name {word}", answer.problem());
+    }
+    let not_json = api.send(Method::POST, "/v1/sessions", "{").await;
+    assert_eq!(not_json.problem()["violations"][0]["field"], "body");
+    let too_large = api.send(Method::POST, "/v1/sessions", vec![b' '; 1 << 20]).await;
+    assert_eq!(too_large.status, StatusCode::PAYLOAD_TOO_LARGE);
+    assert_eq!(too_large.problem()["code"], "MESSAGE_TOO_LARGE");
+}
+
+#[tokio::test]
+async fn wrong_parameters_are_named() {
+    let api = Api::new().await;
+    api.post("/v1/sessions", &kitchen()).await;
+    let cases = [
+        ("/v1/sessions?page_size=1001", "page_size"),
+        ("/v1/sessions?page_size=many", "query"),
+        ("/v1/sessions?page_token=a%2Fb", "page_token"),
+        ("/v1/sessions?page=2", "query"),
+        ("/v1/sessions/a%2Fb", "id"),
+        ("/v1/sessions/..%2F..%2Fetc/trajectory", "id"),
+        ("/v1/sessions/kitchen/trajectory?format=xml", "query"),
+        ("/v1/sessions/kitchen/trajectory?kind=all", "query"),
+        ("/v1/sessions/kitchen/keyframes/0", "kf"),
+        ("/v1/sessions/kitchen/keyframes/99999999999999999999", "kf"),
+        ("/v1/sessions/kitchen/points?bbox=1,2,3", "bbox"),
+        ("/v1/sessions/kitchen/points?bbox=1,0,0,0,1,1", "bbox"),
+        ("/v1/sessions/kitchen/points?near=0,0,0", "radius"),
+        ("/v1/sessions/kitchen/points?near=0,0,NaN&radius=1", "near"),
+        ("/v1/sessions/kitchen/points?near=0,0,0&radius=-1", "radius"),
+        ("/v1/sessions/kitchen/points?radius=1", "near"),
+    ];
+    for (path, field) in cases {
+        let answer = api.get(path).await;
+        assert_eq!(answer.status, StatusCode::BAD_REQUEST, "{path}");
+        assert_eq!(answer.problem()["violations"][0]["field"], field, "{path}");
+    }
+}
+
+#[tokio::test]
+async fn an_empty_session_has_an_empty_map() {
+    let api = Api::new().await;
+    api.post("/v1/sessions", &kitchen()).await;
+    for (format, content_type, body) in [
+        ("tum", "text/plain; charset=utf-8", ""),
+        ("kitti", "text/plain; charset=utf-8", ""),
+        (
+            "euroc",
+            "text/csv; charset=utf-8",
+            "#timestamp [ns],p_RS_R_x,p_RS_R_y,p_RS_R_z,q_RS_w,q_RS_x,q_RS_y,q_RS_z\n",
+        ),
+        (
+            "csv",
+            "text/csv; charset=utf-8",
+            "sequence,timestamp_ns,state,submap_id,backfilled,tx,ty,tz,qx,qy,qz,qw\n",
+        ),
+    ] {
+        let answer = api.get(&format!("/v1/sessions/kitchen/trajectory?format={format}")).await;
+        assert_eq!((answer.status, answer.content_type.as_str()), (StatusCode::OK, content_type), "{format}");
+        assert_eq!(String::from_utf8(answer.body).unwrap(), body, "{format}");
+    }
+    let trajectory = api.get("/v1/sessions/kitchen/trajectory?format=json&kind=keyframes").await.json();
+    let expected = json!({ "session_id": "kitchen", "transform": "world_from_camera", "scale": "up_to_scale", "poses": [] });
+    assert_eq!(trajectory, expected);
+    let keyframes = api.get("/v1/sessions/kitchen/keyframes").await.json();
+    assert_eq!(keyframes, json!({ "keyframes": [], "next_page_token": null }));
+    let points = api.get("/v1/sessions/kitchen/points?near=0,0,0&radius=10").await.json();
+    assert_eq!(points, json!({ "points": [], "next_page_token": null }));
+    let missing = api.get("/v1/sessions/kitchen/keyframes/1").await;
+    assert_eq!(missing.problem()["code"], "KEYFRAME_NOT_FOUND");
+}
+
+#[tokio::test]
+async fn paths_and_methods_that_are_not_there_are_problems_too() {
+    let api = Api::new().await;
+    assert_eq!(api.get("/v2/sessions").await.problem()["code"], "NOT_FOUND");
+    let answer = api.send(Method::PUT, "/v1/sessions", Body::empty()).await;
+    assert_eq!(answer.status, StatusCode::METHOD_NOT_ALLOWED);
+    assert_eq!(answer.problem()["code"], "METHOD_NOT_ALLOWED");
+}
+
+#[tokio::test]
+async fn the_document_describes_the_interface() {
+    let api = Api::new().await;
+    let served = api.get("/openapi.json").await.json();
+    assert_eq!(served, serde_json::to_value(rest::openapi()).unwrap());
+    insta::assert_json_snapshot!("openapi", served, { ".info.version" => "[version]" });
+}
+
+#[tokio::test]
+async fn the_front_page_lists_the_sessions() {
+    let api = Api::new().await;
+    api.post("/v1/sessions", &kitchen()).await;
+    let page = api.get("/").await;
+    assert!(page.content_type.starts_with("text/html"));
+    assert!(String::from_utf8(page.body).unwrap().contains("/v1/sessions/kitchen/trajectory"));
+    assert_eq!(api.get("/healthz").await.status, StatusCode::OK);
+    assert_eq!(api.get("/readyz").await.status, StatusCode::OK);
+    assert_eq!(api.get("/metrics").await.status, StatusCode::OK);
+}

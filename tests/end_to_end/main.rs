@@ -1,0 +1,8 @@
+//! The server over real sockets: gRPC in, HTTP out.
+
+mod bad_frames;
+mod bad_requests;
+mod shutdown;
+mod storage;
+mod tracking;
+mod writers;
