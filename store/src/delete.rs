@@ -6,18 +6,19 @@ use sqlx::SqliteConnection;
 /// Rows deleted per transaction: other sessions' commits wait some tens of milliseconds at most.
 const ROWS_PER_STEP: i64 = 5_000;
 
-/// Deletions that take at most the bound number of a session's rows each, dependents first.
+/// Deletions that take at most the bound number of a session's rows each. Blobs first: the pages they free are what the
+/// R*Tree rearranges itself in when the database is full.
 const STEPS: [&str; 6] = [
-    "DELETE FROM frames WHERE session = ?1 AND sequence IN
-         (SELECT sequence FROM frames WHERE session = ?1 LIMIT ?2)",
-    "DELETE FROM point_cells WHERE key IN
-         (SELECT key FROM point_cells WHERE session_min >= ?1 AND session_max <= ?1 LIMIT ?2)",
-    "DELETE FROM points WHERE session = ?1 AND id IN (SELECT id FROM points WHERE session = ?1 LIMIT ?2)",
-    // Pages of blobs are what takes the time here.
+    // Pages of blobs are what takes the time here, hence fewer rows.
     "DELETE FROM keyframe_images WHERE session = ?1 AND keyframe IN
          (SELECT keyframe FROM keyframe_images WHERE session = ?1 LIMIT ?2 / 50)",
     "DELETE FROM keyframe_features WHERE session = ?1 AND keyframe IN
          (SELECT keyframe FROM keyframe_features WHERE session = ?1 LIMIT ?2 / 50)",
+    "DELETE FROM frames WHERE session = ?1 AND sequence IN
+         (SELECT sequence FROM frames WHERE session = ?1 LIMIT ?2)",
+    "DELETE FROM points WHERE session = ?1 AND id IN (SELECT id FROM points WHERE session = ?1 LIMIT ?2)",
+    "DELETE FROM point_cells WHERE key IN
+         (SELECT key FROM point_cells WHERE session_min >= ?1 AND session_max <= ?1 LIMIT ?2)",
     "DELETE FROM removed_keyframes WHERE session = ?1 AND id IN
          (SELECT id FROM removed_keyframes WHERE session = ?1 LIMIT ?2)",
 ];
@@ -64,7 +65,7 @@ impl Store {
         // The key frames go with the session's row.
         let mut transaction = self.begin_write().await?;
         delete_row(&mut transaction, number).await?;
-        Ok(transaction.commit().await?)
+        transaction.commit().await
     }
 
     async fn delete_some(&self, step: &'static str, number: i64) -> Result<u64, StoreError> {

@@ -7,6 +7,7 @@ use sqlx::sqlite::{
     SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
 };
 use sqlx::{ConnectOptions, Connection, Sqlite, SqliteConnection, Transaction};
+use std::ops::{Deref, DerefMut};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -60,6 +61,47 @@ pub struct Store {
     writer: SqlitePool,
     readers: SqlitePool,
     path: PathBuf,
+}
+
+/// A transaction on the writing connection.
+///
+/// One that is not committed closes its connection, which undoes it whatever state SQLite left it in: after some
+/// errors, such as a full disk, SQLite has ended the transaction itself, after others it has not. The next writer gets
+/// a new connection.
+pub(crate) struct WriteTransaction {
+    connection: PoolConnection<Sqlite>,
+    is_committed: bool,
+}
+
+impl WriteTransaction {
+    /// Makes what was written durable.
+    pub async fn commit(mut self) -> Result<(), StoreError> {
+        sqlx::query("COMMIT").execute(&mut *self.connection).await?;
+        self.is_committed = true;
+        Ok(())
+    }
+}
+
+impl Deref for WriteTransaction {
+    type Target = SqliteConnection;
+
+    fn deref(&self) -> &SqliteConnection {
+        &self.connection
+    }
+}
+
+impl DerefMut for WriteTransaction {
+    fn deref_mut(&mut self) -> &mut SqliteConnection {
+        &mut self.connection
+    }
+}
+
+impl Drop for WriteTransaction {
+    fn drop(&mut self) {
+        if !self.is_committed {
+            self.connection.close_on_drop();
+        }
+    }
 }
 
 /// Bytes in a page of the file. Twice SQLite's default: a key frame's features fill six of them.
@@ -131,8 +173,12 @@ impl Store {
 
     /// Begins a transaction that may write; undone unless committed. The lock is taken at once, so that it cannot
     /// fail half-way for want of it.
-    pub(crate) async fn begin_write(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
-        Ok(self.writer.begin_with("BEGIN IMMEDIATE").await?)
+    pub(crate) async fn begin_write(&self) -> Result<WriteTransaction, StoreError> {
+        // Made before the statement runs, so that giving up in the middle of it closes the connection too.
+        let mut transaction =
+            WriteTransaction { connection: self.writer.acquire().await?, is_committed: false };
+        sqlx::query("BEGIN IMMEDIATE").execute(&mut *transaction).await?;
+        Ok(transaction)
     }
 
     /// A connection that reads.

@@ -1,25 +1,36 @@
 use crate::world::*;
 use sqlx::AssertSqlSafe;
 use sqlx::sqlite::SqlitePool;
+use std::path::{Path, PathBuf};
 use store::{Store, StoreOptions};
 
-/// What `check` says after a statement was run on a sound database.
-async fn problems_after(damage: &'static str) -> Vec<String> {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+/// A sound database, closed.
+async fn sound_database(folder: &Path) -> PathBuf {
+    let store = store_with_session(folder).await;
     store.save_update("s", &first_update(&parts(61, SMALL)), TRACKED, &[]).await.unwrap();
     assert_eq!(store.check().await.unwrap(), []);
     store.close().await.unwrap();
-    let connection = SqlitePool::connect(store.path().to_str().unwrap()).await.unwrap();
+    store.path().to_path_buf()
+}
+
+/// What `check` says after a statement was run on a copy of the database.
+async fn problems_after(damage: &'static str, sound: &Path) -> Vec<String> {
+    let path = sound.with_extension("copy");
+    std::fs::copy(sound, &path).unwrap();
+    let connection = SqlitePool::connect(path.to_str().unwrap()).await.unwrap();
     let statement = format!("PRAGMA foreign_keys = OFF; PRAGMA ignore_check_constraints = ON; {damage}");
     sqlx::raw_sql(AssertSqlSafe(statement)).execute(&connection).await.unwrap();
     connection.close().await;
-    let store = Store::open(store.path(), StoreOptions::default()).await.unwrap();
-    store.check().await.unwrap().iter().map(ToString::to_string).collect()
+    let store = Store::open(&path, StoreOptions::default()).await.unwrap();
+    let problems = store.check().await.unwrap();
+    store.close().await.unwrap();
+    problems.iter().map(ToString::to_string).collect()
 }
 
 #[tokio::test]
 async fn every_kind_of_damage_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let sound = sound_database(folder.path()).await;
     let cases = [
         ("UPDATE sessions SET n_points = 3", "it claims 3 points but has 60"),
         ("UPDATE sessions SET n_frames = 3", "it claims 3 frames but has 20"),
@@ -32,7 +43,7 @@ async fn every_kind_of_damage_is_found() {
         ("UPDATE sessions SET state = 9", "unknown state 9"),
         ("UPDATE keyframes SET qw = qw + 0.5 WHERE id = 2", "key frame 2 has no finite pose"),
         ("UPDATE keyframes SET tx = 9e999 WHERE id = 3", "key frame 3 has no finite pose"),
-        ("UPDATE keyframes SET n_keypoints = 41 WHERE id = 3", "key frame 3 claims 41 keypoints but has 40"),
+        ("UPDATE keyframes SET n_keypoints = 81 WHERE id = 3", "key frame 3 claims 81 keypoints but has 80"),
         ("UPDATE keyframes SET parent = 99 WHERE id = 3", "a row of keyframes refers to one of keyframes"),
         ("DELETE FROM keyframe_features WHERE keyframe = 4", "key frame 4 has no features"),
         (
@@ -88,7 +99,7 @@ async fn every_kind_of_damage_is_found() {
         ),
     ];
     for (damage, expected) in cases {
-        let problems = problems_after(damage).await;
+        let problems = problems_after(damage, &sound).await;
         assert!(problems.iter().any(|problem| problem.contains(expected)), "{damage}: {problems:?}");
     }
 }

@@ -138,7 +138,7 @@ async fn key_frames_come_in_pages_and_alone() {
         );
         assert_eq!((record.timestamp_ns, record.parent), (keyframe.timestamp_ns, keyframe.parent));
         assert_eq!(record.camera_from_world, keyframe.camera_from_world);
-        assert_eq!((record.n_keypoints as usize, record.n_points as usize), (40, keyframe.n_points()));
+        assert_eq!((record.n_keypoints as usize, record.n_points as usize), (80, keyframe.n_points()));
         assert_eq!(record.has_image, record.id == kf(2));
         assert_eq!(store.keyframe("s", record.id).await.unwrap().as_ref(), Some(record));
     }

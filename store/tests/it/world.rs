@@ -92,7 +92,7 @@ pub struct Size {
     pub n_points: u64,
 }
 
-pub const SMALL: Size = Size { n_keyframes: 6, n_keypoints: 40, n_points: 60 };
+pub const SMALL: Size = Size { n_keyframes: 6, n_keypoints: 80, n_points: 60 };
 
 /// A consistent map: each point is seen by two to four neighbouring key frames, which hang on one another in a chain.
 pub fn parts(seed: u64, size: Size) -> MapParts {
