@@ -26,7 +26,7 @@ pub(crate) struct NotPositiveDefinite;
 /// Factorises and solves the reduced system, with all its memory set aside.
 pub(crate) enum ReducedSolver {
     Dense(DenseCholesky),
-    Sparse(SparseCholesky),
+    Sparse(Box<SparseCholesky>),
 }
 
 impl ReducedSolver {
@@ -41,7 +41,7 @@ impl ReducedSolver {
         if dense {
             Self::Dense(DenseCholesky::new(structure.n_reduced_dims))
         } else {
-            Self::Sparse(SparseCholesky::new(structure))
+            Self::Sparse(Box::new(SparseCholesky::new(structure)))
         }
     }
 

@@ -48,8 +48,11 @@ impl Factor for ChordalEdge {
     }
 }
 
+/// An edge with the poses it joins.
+type Edge = (usize, usize, ChordalEdge);
+
 /// Reads the vertices' number and the edges of a g2o file; `None` when it is not there.
-fn read_g2o(name: &str) -> Option<(usize, Vec<(usize, usize, ChordalEdge)>)> {
+fn read_g2o(name: &str) -> Option<(usize, Vec<Edge>)> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/components/pose_graphs/");
     let Ok(text) = std::fs::read_to_string(Path::new(path).join(name)) else {
         println!("skipped: {name} is not here");
@@ -68,7 +71,7 @@ fn read_g2o(name: &str) -> Option<(usize, Vec<(usize, usize, ChordalEdge)>)> {
     Some((n_poses, edges))
 }
 
-fn parse_edge<'a>(words: impl Iterator<Item = &'a str>) -> (usize, usize, ChordalEdge) {
+fn parse_edge<'a>(words: impl Iterator<Item = &'a str>) -> Edge {
     let numbers: Vec<f64> = words.map(|word| word.parse().expect("g2o holds numbers")).collect();
     let [i, j, x, y, z, qx, qy, qz, qw] = numbers[..9] else { unreachable!("the slice has nine entries") };
     let mut upper = numbers[9..30].iter().copied();
@@ -90,7 +93,7 @@ fn parse_edge<'a>(words: impl Iterator<Item = &'a str>) -> (usize, usize, Chorda
 }
 
 /// Chains the odometry edges, optimises, and returns SE-Sync's cost.
-fn optimised_cost(n_poses: usize, edges: Vec<(usize, usize, ChordalEdge)>) -> f64 {
+fn optimised_cost(n_poses: usize, edges: Vec<Edge>) -> f64 {
     let mut world_from_body = vec![Pose::identity(); n_poses];
     for (i, j, edge) in edges.iter().filter(|(i, j, _)| *j == i + 1) {
         world_from_body[*j] = world_from_body[*i] * edge.i_from_j;
