@@ -34,7 +34,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let flag = |name: &str| arguments.iter().any(|argument| argument == name);
     let value = |name: &str| arguments.iter().position(|a| a == name).and_then(|at| arguments.get(at + 1));
-    let [dataset, out, ..] = arguments.as_slice() else { return Err("usage: track_folder DATASET OUT.txt".into()) };
+    let [dataset, out, ..] = arguments.as_slice() else {
+        return Err("usage: track_folder DATASET OUT.txt".into());
+    };
     let dataset = Path::new(dataset);
     let config = SlamConfig {
         threading: if flag("--inline") { Threading::Inline } else { Threading::Background },
@@ -55,8 +57,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     for (sequence, (timestamp_ns, path)) in frames.iter().enumerate() {
         let bytes = std::fs::read(dataset.join(path))?;
         let image = decode_gray(&EncodedImage::Auto(&bytes), &DecodeLimits::default())?;
-        let report =
-            pipeline.process_frame(Frame { sequence: sequence as u64, timestamp_ns: *timestamp_ns, image })?;
+        let report = pipeline.process_frame(Frame {
+            sequence: sequence as u64,
+            timestamp_ns: *timestamp_ns,
+            image,
+        })?;
         if flag("--verbose") {
             println!(
                 "{sequence} {:?} keypoints {} inliers {} keyframe {} relocalised {} {:.1} ms {}",
@@ -140,7 +145,8 @@ fn read_frame_list(dataset: &Path) -> Result<Vec<(i64, String)>, Box<dyn Error>>
 }
 
 fn read_camera(dataset: &Path) -> Result<Camera, Box<dyn Error>> {
-    let json: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(dataset.join("calib.json"))?)?;
+    let json: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(dataset.join("calib.json"))?)?;
     let number = |name: &str| json[name].as_f64().ok_or(format!("calib.json: {name} is missing"));
     let model = match json["model"].as_str() {
         Some("pinhole") => CameraModel::Pinhole,
@@ -149,7 +155,8 @@ fn read_camera(dataset: &Path) -> Result<Camera, Box<dyn Error>> {
         Some("fov") => CameraModel::Fov,
         other => return Err(format!("calib.json: unknown model {other:?}").into()),
     };
-    let distortion = json["dist"].as_array().into_iter().flatten().filter_map(serde_json::Value::as_f64).collect();
+    let distortion =
+        json["dist"].as_array().into_iter().flatten().filter_map(serde_json::Value::as_f64).collect();
     Ok(Camera::new(CameraParameters {
         model,
         width: number("width")? as u32,

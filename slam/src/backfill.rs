@@ -13,6 +13,8 @@ use crate::tracking::Tracker;
 use crate::tracking::frame::TrackedFrame;
 use std::collections::VecDeque;
 
+/// A second pose replaces the first only if it is borne by at least this share of the first one's inliers.
+const MIN_INLIER_SHARE: f64 = 0.8;
 /// Frames in a row that may fail before the rest is given up.
 const MAX_FAILURES: usize = 5;
 
@@ -32,24 +34,31 @@ pub(crate) struct Backfill {
 /// A kept frame.
 struct Waiting {
     view: View,
-    /// It had a pose when it was answered, if a rough one.
-    had_pose: bool,
+    /// Landmarks that agreed with the pose it was answered with, if it had one.
+    n_inliers: Option<usize>,
 }
 
 impl Backfill {
     pub fn new(config: SlamConfig) -> Self {
-        Self { config, waiting: VecDeque::new(), backward: None, start: None, n_failures: 0, is_mature: false }
+        Self {
+            config,
+            waiting: VecDeque::new(),
+            backward: None,
+            start: None,
+            n_failures: 0,
+            is_mature: false,
+        }
     }
 
     /// Keeps a frame that got no pose, or got one while the map was young; the oldest goes when there are too many.
-    pub fn keep(&mut self, view: &View, had_pose: bool) {
-        if had_pose && self.is_mature {
+    pub fn keep(&mut self, view: &View, n_inliers: Option<usize>) {
+        if n_inliers.is_some() && self.is_mature {
             return;
         }
         if self.waiting.len() >= self.config.initialisation.max_backfill_views {
             self.waiting.pop_front();
         }
-        self.waiting.push_back(Waiting { view: view.clone(), had_pose });
+        self.waiting.push_back(Waiting { view: view.clone(), n_inliers });
     }
 
     /// Notes that a frame was placed: the frames kept until now can be reached from it.
@@ -88,7 +97,7 @@ impl Backfill {
             self.n_failures = 0;
         }
         let (tracker, views) = self.backward.as_mut()?;
-        let Some(Waiting { view, had_pose }) = views.pop_back() else {
+        let Some(Waiting { view, n_inliers }) = views.pop_back() else {
             self.backward = None;
             return None;
         };
@@ -98,12 +107,16 @@ impl Backfill {
         match (tracked.outcome, tracked.frame) {
             (TrackingOutcome::Tracked, Some(frame)) => {
                 self.n_failures = 0;
+                let n_required = MIN_INLIER_SHARE * n_inliers.unwrap_or(0) as f64;
+                if (tracked.n_inliers as f64) < n_required {
+                    return None;
+                }
                 Some(FrameRecord {
                     sequence: frame.sequence,
                     timestamp_ns: frame.timestamp_ns,
                     state: FrameState::Tracked,
                     pose: frame.pose_in(map),
-                    backfilled: !had_pose,
+                    backfilled: n_inliers.is_none(),
                 })
             }
             _ => {
@@ -122,11 +135,11 @@ impl Backfill {
 fn is_mature(map: &Map, frame: &TrackedFrame, min_baseline_share: f64) -> bool {
     let in_submap = || map.keyframes().filter(|keyframe| keyframe.submap == frame.submap);
     let Some(origin) = in_submap().next() else { return false };
-    let Some(median_depth) = map.keyframe(frame.reference).and_then(|reference| median_depth(map, reference)) else {
+    let Some(median_depth) = map.keyframe(frame.reference).and_then(|reference| median_depth(map, reference))
+    else {
         return false;
     };
     let origin = origin.camera_from_world.centre();
-    in_submap().any(|other| {
-        (other.camera_from_world.centre() - origin).norm() >= min_baseline_share * median_depth
-    })
+    in_submap()
+        .any(|other| (other.camera_from_world.centre() - origin).norm() >= min_baseline_share * median_depth)
 }

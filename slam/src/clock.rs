@@ -42,7 +42,13 @@ pub(crate) struct FrameTimes {
 impl Stopwatch {
     pub fn start(clock: std::sync::Arc<dyn Clock>) -> Self {
         let (start_wall_ns, start_cpu_ns) = (clock.wall_ns(), clock.thread_cpu_ns());
-        Self { clock, start_wall_ns, start_cpu_ns, lap_start_ns: start_wall_ns, stages: Vec::with_capacity(8) }
+        Self {
+            clock,
+            start_wall_ns,
+            start_cpu_ns,
+            lap_start_ns: start_wall_ns,
+            stages: Vec::with_capacity(8),
+        }
     }
 
     /// Ends the stage that ran since the start or the lap before.

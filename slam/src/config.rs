@@ -174,7 +174,13 @@ pub struct RelocalisationConfig {
 
 impl Default for RelocalisationConfig {
     fn default() -> Self {
-        Self { max_candidates: 5, min_matches: 15, max_iterations: 300, min_first_inliers: 10, min_inliers: 40 }
+        Self {
+            max_candidates: 5,
+            min_matches: 15,
+            max_iterations: 300,
+            min_first_inliers: 10,
+            min_inliers: 40,
+        }
     }
 }
 
@@ -297,7 +303,10 @@ impl SlamConfig {
             return refuse("initialisation.max_reference_views", "must be at least 1");
         }
         if self.tracking.min_weak_inliers < 6 || self.tracking.min_weak_inliers > self.tracking.min_inliers {
-            return refuse("tracking.min_weak_inliers", "must be at least 6 and at most tracking.min_inliers");
+            return refuse(
+                "tracking.min_weak_inliers",
+                "must be at least 6 and at most tracking.min_inliers",
+            );
         }
         if self.keyframes.max_keyframes < 10 {
             return refuse("keyframes.max_keyframes", "must be at least 10");

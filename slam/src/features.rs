@@ -73,8 +73,10 @@ impl FrameFeatures {
         if keypoints.len() != descriptors.len() {
             return None;
         }
-        let undistorted =
-            keypoints.iter().map(|keypoint| undistort(keypoint, working_camera)).collect::<Option<Vec<_>>>()?;
+        let undistorted = keypoints
+            .iter()
+            .map(|keypoint| undistort(keypoint, working_camera))
+            .collect::<Option<Vec<_>>>()?;
         Some(Self::assemble(keypoints, undistorted, descriptors, working_camera, pyramid))
     }
 

@@ -4,8 +4,10 @@ use crate::backfill::Backfill;
 use crate::clock::{Clock, Stopwatch};
 use crate::config::{ConfigError, SlamConfig, Threading};
 use crate::features::FrameFeatures;
-use crate::initialisation::{Initialiser, InitialPair, View};
-use crate::map::{FramePose, FrameRecord, FrameState, KeyframeId, Map, MapError, MapParts, MapUpdate, SubmapId};
+use crate::initialisation::{InitialPair, Initialiser, View};
+use crate::map::{
+    FramePose, FrameRecord, FrameState, KeyframeId, Map, MapError, MapParts, MapUpdate, SubmapId,
+};
 use crate::mapping::stage::MappingStage;
 use crate::mapping::{InitialMap, Mapper, NewKeyframe};
 use crate::report::{FrameReport, InitialisationWait, TrackingOutcome};
@@ -30,7 +32,9 @@ pub struct Frame {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
     /// The image is not of the camera's size.
-    #[error("the image is {width}x{height} pixels but the session's camera is {expected_width}x{expected_height}")]
+    #[error(
+        "the image is {width}x{height} pixels but the session's camera is {expected_width}x{expected_height}"
+    )]
     WrongImageSize {
         /// Width of the image.
         width: u32,
@@ -247,7 +251,10 @@ impl Pipeline {
             return Err(FrameError::SequenceNotIncreasing { sequence: frame.sequence, last_sequence });
         }
         if frame.timestamp_ns <= last_timestamp_ns {
-            return Err(FrameError::TimestampNotIncreasing { timestamp_ns: frame.timestamp_ns, last_timestamp_ns });
+            return Err(FrameError::TimestampNotIncreasing {
+                timestamp_ns: frame.timestamp_ns,
+                last_timestamp_ns,
+            });
         }
         Ok(())
     }
@@ -301,7 +308,11 @@ impl Pipeline {
             sequence: first.sequence,
             timestamp_ns: first.timestamp_ns,
             state: FrameState::Tracked,
-            pose: Some(FramePose { submap: self.submap, reference: first_id, camera_from_reference: Pose::identity() }),
+            pose: Some(FramePose {
+                submap: self.submap,
+                reference: first_id,
+                camera_from_reference: Pose::identity(),
+            }),
             backfilled: true,
         };
         let mut frames = std::mem::take(&mut self.unrecorded);
@@ -383,7 +394,8 @@ impl Pipeline {
 
     /// Makes the frame a key frame if it is worth it. Returns whether it did.
     fn extend(&mut self, verdict: &Verdict) -> bool {
-        let Some(frame) = verdict.frame.as_ref().filter(|_| self.mapping_enabled && !verdict.is_keyframe) else {
+        let Some(frame) = verdict.frame.as_ref().filter(|_| self.mapping_enabled && !verdict.is_keyframe)
+        else {
             return false;
         };
         let is_good = matches!(verdict.outcome, TrackingOutcome::Tracked);
@@ -407,9 +419,9 @@ impl Pipeline {
     /// Keeps a frame that has no pose for later, and places one of those kept before.
     fn step_backfill(&mut self, view: &View, verdict: &Verdict) {
         match &verdict.frame {
-            None => self.backfill.keep(view, false),
+            None => self.backfill.keep(view, None),
             Some(frame) => {
-                self.backfill.keep(view, true);
+                self.backfill.keep(view, Some(verdict.n_inliers));
                 self.backfill.placed(frame);
                 if let Some(record) = self.backfill.step(&self.map, false) {
                     self.unrecorded.push(record);

@@ -13,7 +13,9 @@ pub enum InitialisationWait {
     #[error("there is no map yet and this stream may only localise")]
     MappingDisabled,
     /// The image has too few corners.
-    #[error("too few features: {n_keypoints} keypoints, {n_required} needed; point the camera at more texture")]
+    #[error(
+        "too few features: {n_keypoints} keypoints, {n_required} needed; point the camera at more texture"
+    )]
     TooFewFeatures {
         /// Keypoints found.
         n_keypoints: usize,
@@ -29,7 +31,9 @@ pub enum InitialisationWait {
         n_required: usize,
     },
     /// The camera has hardly moved, or only turned.
-    #[error("too little parallax: {parallax_deg:.2} degrees, {required_deg:.2} needed; move sideways, do not only turn")]
+    #[error(
+        "too little parallax: {parallax_deg:.2} degrees, {required_deg:.2} needed; move sideways, do not only turn"
+    )]
     TooLittleParallax {
         /// Parallax of the best hypothesis, degrees.
         parallax_deg: f64,
@@ -48,7 +52,9 @@ pub enum InitialisationWait {
         required_deg: f64,
     },
     /// Two motions explain the images equally well, or none does.
-    #[error("ambiguous motion: {n_agreeing} of {n_matches} matches agree with one motion and {n_runner_up} with another")]
+    #[error(
+        "ambiguous motion: {n_agreeing} of {n_matches} matches agree with one motion and {n_runner_up} with another"
+    )]
     Ambiguous {
         /// Matches that agree with the best motion.
         n_agreeing: usize,

@@ -88,7 +88,8 @@ impl Adjustment {
             let variable = problem.add_landmark(point.position);
             points.push((point.id, variable));
             for seen in &point.observations {
-                let (Some(pose), Some(keyframe)) = (poses.get(&seen.keyframe), map.keyframe(seen.keyframe)) else {
+                let (Some(pose), Some(keyframe)) = (poses.get(&seen.keyframe), map.keyframe(seen.keyframe))
+                else {
                     continue;
                 };
                 let feature_idx = seen.feature_idx as usize;

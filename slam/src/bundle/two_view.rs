@@ -30,10 +30,9 @@ pub(crate) fn refine(
     let second = problem.add_variable(second_from_first);
     problem.set_fixed(first, true);
     let variables: Vec<_> = points.iter().map(|(position, _)| problem.add_landmark(*position)).collect();
-    let factors = points
-        .iter()
-        .zip(&variables)
-        .flat_map(|((_, [in_first, in_second]), point)| [((first, *point), *in_first), ((second, *point), *in_second)]);
+    let factors = points.iter().zip(&variables).flat_map(|((_, [in_first, in_second]), point)| {
+        [((first, *point), *in_first), ((second, *point), *in_second)]
+    });
     let group = problem.add_factors(Kernel::huber_95(2), factors.collect::<Vec<_>>());
     let length = second_from_first.translation.norm();
     let baseline = BaselineLengthFactor { length, inverse_sigma: 1.0 / (BASELINE_SIGMA * length) };

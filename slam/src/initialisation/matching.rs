@@ -8,7 +8,11 @@ const RATIO: f32 = 0.9;
 
 /// Keypoints of the first view with their counterparts in the second: mutual best matches of the same level within a
 /// window, whose change of orientation is like the others'.
-pub(super) fn match_views(first: &FrameFeatures, second: &FrameFeatures, radius_px: f64) -> Vec<(usize, usize)> {
+pub(super) fn match_views(
+    first: &FrameFeatures,
+    second: &FrameFeatures,
+    radius_px: f64,
+) -> Vec<(usize, usize)> {
     let mut claims: Vec<Option<(u32, usize)>> = vec![None; second.len()];
     let mut chosen: Vec<Option<usize>> = vec![None; first.len()];
     for (first_idx, pixel) in first.undistorted.iter().enumerate() {

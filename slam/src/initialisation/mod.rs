@@ -9,8 +9,8 @@ use crate::bundle;
 use crate::config::InitialisationConfig;
 use crate::features::FrameFeatures;
 use crate::report::InitialisationWait;
-use geometry::nalgebra::Vector3;
 use geometry::Pose;
+use geometry::nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
@@ -115,13 +115,10 @@ impl Initialiser {
         if n_matches < n_required {
             return Err(InitialisationWait::TooFewMatches { n_matches, n_required });
         }
-        let motion = two_view::solve(&first.features, &second.features, &matches, &self.config, &mut self.rng)?;
+        let motion =
+            two_view::solve(&first.features, &second.features, &matches, &self.config, &mut self.rng)?;
         let (pair, direction_sigma_deg) = refine(first, second, &matches, &motion);
         let n_agreeing = pair.points.len();
-        if std::env::var("DBG").is_ok() { use std::io::Write;
-            let mut f = std::fs::File::create(format!("/tmp/out/m_{}_{}.txt", first.sequence, second.sequence)).unwrap();
-            for (a,b) in &matches { let (p,q)=(first.features.undistorted[*a], second.features.undistorted[*b]); writeln!(f, "{} {} {} {} {}", p.x,p.y,q.x,q.y, first.features.keypoints[*a].octave).unwrap(); }
-            eprintln!("pair {} {} matches {} agreeing {} parallax {:.2} sigma {:.2}", first.sequence, second.sequence, n_matches, n_agreeing, motion.parallax_deg, direction_sigma_deg); }
         if direction_sigma_deg > self.config.max_direction_sigma_deg {
             let required_deg = self.config.max_direction_sigma_deg;
             return Err(InitialisationWait::UncertainMotion { direction_sigma_deg, required_deg });
@@ -134,17 +131,14 @@ impl Initialiser {
 
     /// A further view must see the points where the motion puts them: one between the two, or else one before them.
     fn confirm(&mut self, pair: InitialPair) -> Result<InitialPair, InitialisationWait> {
-        let inside = |view: &&View| view.sequence > pair.first.sequence && view.sequence < pair.second.sequence;
+        let inside =
+            |view: &&View| view.sequence > pair.first.sequence && view.sequence < pair.second.sequence;
         let between: Vec<&View> = self.views.iter().filter(inside).collect();
         let before = self.views.iter().rev().find(|view| view.sequence < pair.first.sequence);
         let Some(third) = between.get(between.len() / 2).copied().or(before) else {
             return Err(InitialisationWait::FirstView);
         };
         let (n_confirmed, n_looked_for) = third_view::confirm(&pair, third, &self.config, &mut self.rng);
-        if std::env::var("DBG").is_ok() { eprintln!("  third {} confirmed {} of {} ; of points {}", third.sequence, n_confirmed, n_looked_for, pair.points.len());
-        let mut d: Vec<f64> = pair.points.iter().map(|p| p.2.z).collect(); d.sort_by(f64::total_cmp);
-        eprintln!("  depths min {:.3} p10 {:.2} p90 {:.2} max {:.2} t {:?}", d[0], d[d.len()/10], d[d.len()*9/10], d[d.len()-1], pair.second_from_first.translation);
-        }
         if (n_confirmed as f64) < self.config.min_third_view_share * n_looked_for as f64 {
             let (n_agreeing, n_matches) = (n_confirmed, n_looked_for);
             return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
@@ -168,7 +162,12 @@ fn more_telling(a: InitialisationWait, b: InitialisationWait) -> InitialisationW
 
 /// Bundle adjustment of the two views, points that disagree left out, and the median depth as the unit of length. Also returns
 /// the standard deviation of the direction of motion, degrees.
-fn refine(first: &View, second: &View, matches: &[(usize, usize)], motion: &TwoViewMotion) -> (InitialPair, f64) {
+fn refine(
+    first: &View,
+    second: &View,
+    matches: &[(usize, usize)],
+    motion: &TwoViewMotion,
+) -> (InitialPair, f64) {
     let problem: Vec<_> = motion
         .points
         .iter()

@@ -61,7 +61,10 @@ pub(super) fn solve(
         .map(|candidate| {
             let motion = refine(candidate, first, second, matches);
             let essential = so3::skew(&motion.translation) * motion.rotation_matrix();
-            let cost = correspondences.iter().map(|c| c.squared_sampson(&essential).min(MAX_REPROJECTION_CHI2)).sum();
+            let cost = correspondences
+                .iter()
+                .map(|c| c.squared_sampson(&essential).min(MAX_REPROJECTION_CHI2))
+                .sum();
             (cost, judge(&motion, &correspondences))
         })
         .collect();
@@ -72,7 +75,8 @@ pub(super) fn solve(
     let n_agreeing = best.points.len();
     // Nearly equal motions are the same motion found twice.
     let runner_up = refined.find(|(_, other)| differs(&best.second_from_first, &other.second_from_first));
-    let is_rivalled = runner_up.as_ref().is_some_and(|(cost, _)| *cost < config.min_runner_up_cost_ratio * best_cost);
+    let is_rivalled =
+        runner_up.as_ref().is_some_and(|(cost, _)| *cost < config.min_runner_up_cost_ratio * best_cost);
     let n_runner_up = runner_up.map_or(0, |(_, other)| other.points.len());
     // Without parallax every motion of the same rotation explains the matches, so that is the reason to give.
     if best.parallax_deg < config.min_parallax_deg {
@@ -98,7 +102,8 @@ const DISTINCT_ANGLE: f64 = 0.1;
 
 /// The distinct candidates that many matches agree with, best first.
 fn promising(motions: Vec<Pose>, correspondences: &[Correspondence]) -> Vec<TwoViewMotion> {
-    let mut judged: Vec<TwoViewMotion> = motions.iter().map(|motion| judge(motion, correspondences)).collect();
+    let mut judged: Vec<TwoViewMotion> =
+        motions.iter().map(|motion| judge(motion, correspondences)).collect();
     judged.sort_by_key(|motion| std::cmp::Reverse(motion.points.len()));
     let min_points = judged.first().map_or(0.0, |best| PROMISING_SHARE * best.points.len() as f64);
     let mut chosen: Vec<TwoViewMotion> = Vec::new();
@@ -112,7 +117,8 @@ fn promising(motions: Vec<Pose>, correspondences: &[Correspondence]) -> Vec<TwoV
 }
 
 fn differs(a: &Pose, b: &Pose) -> bool {
-    so3::angle_between(&a.rotation, &b.rotation) > DISTINCT_ANGLE || a.translation.angle(&b.translation) > DISTINCT_ANGLE
+    so3::angle_between(&a.rotation, &b.rotation) > DISTINCT_ANGLE
+        || a.translation.angle(&b.translation) > DISTINCT_ANGLE
 }
 
 /// The motion after bundle adjustment of some of its points.
@@ -163,7 +169,9 @@ fn candidate_motions(
         motions.extend(two_view::decompose_essential(&found.model).into_iter().flatten().map(unit_baseline));
     }
     if let Some(found) = planar {
-        motions.extend(two_view::decompose_homography(&found.model.h).into_iter().map(|(pose, _)| unit_baseline(pose)));
+        motions.extend(
+            two_view::decompose_homography(&found.model.h).into_iter().map(|(pose, _)| unit_baseline(pose)),
+        );
     }
     motions.retain(Pose::is_finite);
     motions
@@ -181,7 +189,8 @@ fn judge(second_from_first: &Pose, correspondences: &[Correspondence]) -> TwoVie
     for (match_idx, c) in correspondences.iter().enumerate() {
         let ray = second_from_first.rotation.inverse() * c.second_bearing;
         let identity = Pose::identity();
-        let point = triangulation::two_view(&identity, &c.first_bearing, second_from_first, &c.second_bearing);
+        let point =
+            triangulation::two_view(&identity, &c.first_bearing, second_from_first, &c.second_bearing);
         let Some(point) = point else { continue };
         let in_second = second_from_first.transform(&point);
         if point.z <= 0.0 || in_second.z <= 0.0 || ray.dot(&c.first_bearing) > PARALLEL_COSINE {
@@ -272,7 +281,11 @@ impl Estimator for EssentialEstimator<'_> {
         let cost = |model: &Matrix3<f64>| -> f64 {
             inliers.iter().map(|idx| self.correspondences[*idx].squared_sampson(model).min(chi2_95(1))).sum()
         };
-        models.into_iter().map(|model| (cost(&model), model)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, model)| model)
+        models
+            .into_iter()
+            .map(|model| (cost(&model), model))
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|(_, model)| model)
     }
 }
 

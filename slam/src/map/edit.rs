@@ -1,6 +1,8 @@
 //! Changing a map. Every change keeps both sides of an observation in step and notes the rows it touches.
 
-use super::{Keyframe, KeyframeId, Map, MapChanges, Observation, PointId, PointLandmark, RemovedKeyframe, SubmapId};
+use super::{
+    Keyframe, KeyframeId, Map, MapChanges, Observation, PointId, PointLandmark, RemovedKeyframe, SubmapId,
+};
 use geometry::Pose;
 use geometry::nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -42,8 +44,11 @@ impl Map {
         let camera_from_anchor = removed.camera_from_world * anchor_from_world.inverse();
         Arc::make_mut(&mut self.removed_keyframes)
             .insert(id, RemovedKeyframe { id, anchor, camera_from_anchor });
-        let children: Vec<KeyframeId> =
-            self.keyframes().filter(|keyframe| keyframe.parent == Some(id)).map(|keyframe| keyframe.id).collect();
+        let children: Vec<KeyframeId> = self
+            .keyframes()
+            .filter(|keyframe| keyframe.parent == Some(id))
+            .map(|keyframe| keyframe.id)
+            .collect();
         for child in children {
             let parent = if child == anchor { removed.parent } else { Some(anchor) };
             self.edit_keyframe(child, |keyframe| keyframe.parent = parent);
@@ -71,7 +76,8 @@ impl Map {
             .iter()
             .copied()
             .filter(|seen| {
-                self.keyframe(seen.keyframe).is_some_and(|keyframe| keyframe.points[seen.feature_idx as usize].is_none())
+                self.keyframe(seen.keyframe)
+                    .is_some_and(|keyframe| keyframe.points[seen.feature_idx as usize].is_none())
             })
             .collect();
         free.sort_unstable();
@@ -83,7 +89,9 @@ impl Map {
         let id = PointId::from_index(self.next_point_idx);
         self.next_point_idx += 1;
         for seen in &free {
-            self.edit_keyframe(seen.keyframe, |keyframe| keyframe.points[seen.feature_idx as usize] = Some(id));
+            self.edit_keyframe(seen.keyframe, |keyframe| {
+                keyframe.points[seen.feature_idx as usize] = Some(id)
+            });
         }
         let point = PointLandmark {
             id,
@@ -111,13 +119,16 @@ impl Map {
         if !free || !self.enter_observation(point_id, seen) {
             return false;
         }
-        self.edit_keyframe(seen.keyframe, |keyframe| keyframe.points[seen.feature_idx as usize] = Some(point_id));
+        self.edit_keyframe(seen.keyframe, |keyframe| {
+            keyframe.points[seen.feature_idx as usize] = Some(point_id)
+        });
         true
     }
 
     /// Undoes a sighting; a point left with fewer than two is removed.
     pub(crate) fn remove_observation(&mut self, point_id: PointId, keyframe_id: KeyframeId) {
-        let Some(feature_idx) = self.point(point_id).and_then(|point| point.observation_in(keyframe_id)) else {
+        let Some(feature_idx) = self.point(point_id).and_then(|point| point.observation_in(keyframe_id))
+        else {
             return;
         };
         self.edit_keyframe(keyframe_id, |keyframe| keyframe.points[feature_idx as usize] = None);
@@ -169,8 +180,11 @@ impl Map {
         let points: Vec<PointId> =
             self.points().filter(|point| point.submap == submap).map(|point| point.id).collect();
         points.into_iter().for_each(|id| self.remove_point(id));
-        let keyframes: Vec<KeyframeId> =
-            self.keyframes().filter(|keyframe| keyframe.submap == submap).map(|keyframe| keyframe.id).collect();
+        let keyframes: Vec<KeyframeId> = self
+            .keyframes()
+            .filter(|keyframe| keyframe.submap == submap)
+            .map(|keyframe| keyframe.id)
+            .collect();
         for id in keyframes {
             self.keyframes.remove(id.index());
             self.changes.keyframes.remove(&id);
@@ -234,7 +248,8 @@ impl Map {
                 *shared.entry(seen.keyframe).or_default() += 1;
             }
         }
-        let strongest = shared.iter().max_by_key(|(other, n)| (**n, std::cmp::Reverse(**other))).map(|(other, _)| *other);
+        let strongest =
+            shared.iter().max_by_key(|(other, n)| (**n, std::cmp::Reverse(**other))).map(|(other, _)| *other);
         let before: Vec<KeyframeId> = keyframe.covisible.iter().map(|(other, _)| *other).collect();
         let mut covisible: Vec<(KeyframeId, u32)> =
             shared.into_iter().filter(|(other, n)| *n >= min_shared || Some(*other) == strongest).collect();
@@ -259,7 +274,9 @@ impl Map {
     fn enter_observation(&mut self, point_id: PointId, seen: Observation) -> bool {
         let mut entered = false;
         self.edit_point(point_id, |point| {
-            if let Err(position) = point.observations.binary_search_by_key(&seen.keyframe, |other| other.keyframe) {
+            if let Err(position) =
+                point.observations.binary_search_by_key(&seen.keyframe, |other| other.keyframe)
+            {
                 point.observations.insert(position, seen);
                 entered = true;
             }
@@ -310,7 +327,9 @@ impl PointSummary {
         let descriptors: Vec<Descriptor> = point
             .observations
             .iter()
-            .filter_map(|seen| Some(map.keyframe(seen.keyframe)?.features.descriptors[seen.feature_idx as usize]))
+            .filter_map(|seen| {
+                Some(map.keyframe(seen.keyframe)?.features.descriptors[seen.feature_idx as usize])
+            })
             .collect();
         Some(Self { descriptor: most_central(&descriptors)?, mean_view_direction, distance_range })
     }

@@ -14,7 +14,8 @@ impl Map {
             next_point_idx: parts.last_point_id as usize,
             ..Map::default()
         };
-        map.removed_keyframes = Arc::new(parts.removed_keyframes.into_iter().map(|gone| (gone.id, gone)).collect());
+        map.removed_keyframes =
+            Arc::new(parts.removed_keyframes.into_iter().map(|gone| (gone.id, gone)).collect());
         for keyframe in parts.keyframes {
             map.next_keyframe_idx = map.next_keyframe_idx.max(keyframe.id.index() + 1);
             map.keyframes.insert(keyframe.id.index(), keyframe);
@@ -43,7 +44,11 @@ impl Map {
                 return Err(MapError(format!("point {} has a position that is not finite", point.id)));
             }
             if point.observations.len() < 2 {
-                return Err(MapError(format!("point {} is seen by {} key frames", point.id, point.observations.len())));
+                return Err(MapError(format!(
+                    "point {} is seen by {} key frames",
+                    point.id,
+                    point.observations.len()
+                )));
             }
             for Observation { keyframe, feature_idx } in &point.observations {
                 let back = self.keyframe(*keyframe).and_then(|seen| seen.points.get(*feature_idx as usize));

@@ -32,8 +32,9 @@ pub(super) fn cull_recent_points(
 
 /// Takes out key frames near the new one whose points others see just as well, and keeps the map below its cap.
 pub(super) fn cull_keyframes(map: &mut Map, newest: KeyframeId, config: &SlamConfig) {
-    let neighbours: Vec<KeyframeId> =
-        map.keyframe(newest).map_or(Vec::new(), |keyframe| keyframe.covisible().iter().map(|(id, _)| *id).collect());
+    let neighbours: Vec<KeyframeId> = map
+        .keyframe(newest)
+        .map_or(Vec::new(), |keyframe| keyframe.covisible().iter().map(|(id, _)| *id).collect());
     for id in neighbours {
         if is_protected(map, id, newest) {
             continue;

@@ -31,7 +31,8 @@ pub(super) fn fuse_with_neighbours(map: &mut Map, id: KeyframeId, config: &SlamC
 }
 
 fn observed(map: &Map, id: KeyframeId) -> BTreeSet<PointId> {
-    map.keyframe(id).map_or(BTreeSet::new(), |keyframe| keyframe.observed_points().map(|(_, id)| id).collect())
+    map.keyframe(id)
+        .map_or(BTreeSet::new(), |keyframe| keyframe.observed_points().map(|(_, id)| id).collect())
 }
 
 fn targets(map: &Map, id: KeyframeId, n_neighbours: usize) -> Vec<KeyframeId> {
@@ -51,7 +52,8 @@ pub(crate) fn fuse_into(map: &mut Map, points: &[PointId], target: KeyframeId, c
     let min_view_cosine = config.tracking.max_view_angle_deg.to_radians().cos();
     let mut n_fused = 0;
     for id in points {
-        let Some(feature_idx) = find_in_keyframe(map, *id, target, config.mapping.fusion_radius_px, min_view_cosine)
+        let Some(feature_idx) =
+            find_in_keyframe(map, *id, target, config.mapping.fusion_radius_px, min_view_cosine)
         else {
             continue;
         };
@@ -59,7 +61,8 @@ pub(crate) fn fuse_into(map: &mut Map, points: &[PointId], target: KeyframeId, c
         match keyframe.points[feature_idx] {
             Some(other) if other != *id => {
                 let n_observations = |id| map.point(id).map_or(0, |point| point.observations.len());
-                let (kept, gone) = if n_observations(other) > n_observations(*id) { (other, *id) } else { (*id, other) };
+                let (kept, gone) =
+                    if n_observations(other) > n_observations(*id) { (other, *id) } else { (*id, other) };
                 map.fuse_points(kept, gone);
             }
             Some(_) => continue,
@@ -86,7 +89,8 @@ fn find_in_keyframe(
         return None;
     }
     let centre = keyframe.camera_from_world.centre();
-    let view = PredictedView::of(point, &keyframe.camera_from_world, &centre, &keyframe.features, min_view_cosine)?;
+    let view =
+        PredictedView::of(point, &keyframe.camera_from_world, &centre, &keyframe.features, min_view_cosine)?;
     let features = &keyframe.features;
     let radius = radius_px * features.pyramid.scale(view.octave);
     // Keypoints that disagree with the projection are passed over, so that a neighbour of the right one cannot win.
@@ -95,7 +99,15 @@ fn find_in_keyframe(
         (features.undistorted[idx] - view.pixel).norm_squared() > chi2_95(2) * sigma * sigma
     };
     let octaves = view.octaves();
-    let found =
-        find_in_window(features, &point.descriptor, &view.pixel, radius, octaves, None, STRICT_DISTANCE, disagrees)?;
+    let found = find_in_window(
+        features,
+        &point.descriptor,
+        &view.pixel,
+        radius,
+        octaves,
+        None,
+        STRICT_DISTANCE,
+        disagrees,
+    )?;
     Some(found.feature_idx)
 }

@@ -107,13 +107,19 @@ impl Mapper {
     fn insert(&mut self, keyframe: Keyframe) {
         let id = keyframe.id;
         self.map.add_keyframe(keyframe);
-        let seen: Vec<PointId> =
-            self.map.keyframe(id).into_iter().flat_map(Keyframe::observed_points).map(|(_, point)| point).collect();
+        let seen: Vec<PointId> = self
+            .map
+            .keyframe(id)
+            .into_iter()
+            .flat_map(Keyframe::observed_points)
+            .map(|(_, point)| point)
+            .collect();
         for point in seen {
             self.map.refresh_point(point);
         }
         self.map.refresh_covisibility(id, self.config.mapping.min_covisible_points);
-        let strongest = self.map.keyframe(id).and_then(|keyframe| keyframe.covisible().first().map(|(id, _)| *id));
+        let strongest =
+            self.map.keyframe(id).and_then(|keyframe| keyframe.covisible().first().map(|(id, _)| *id));
         if let Some(parent) = strongest {
             self.map.set_parent(id, parent);
         }

@@ -56,9 +56,17 @@ impl MappingStage {
         // Full: the sender waits (see `QUEUE_LENGTH`).
         let (requests, incoming) = sync_channel(QUEUE_LENGTH);
         let (n_pending, abort) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
-        let worker = Worker { mapper, n_pending: n_pending.clone(), abort: abort.clone(), shared: shared.clone() };
-        let thread = std::thread::Builder::new().name("slam-mapping".into()).spawn(move || worker.run(incoming))?;
-        Ok(Self::Background(Background { requests: Some(requests), n_pending, abort, shared, thread: Some(thread) }))
+        let worker =
+            Worker { mapper, n_pending: n_pending.clone(), abort: abort.clone(), shared: shared.clone() };
+        let thread =
+            std::thread::Builder::new().name("slam-mapping".into()).spawn(move || worker.run(incoming))?;
+        Ok(Self::Background(Background {
+            requests: Some(requests),
+            n_pending,
+            abort,
+            shared,
+            thread: Some(thread),
+        }))
     }
 
     /// The newest consistent map.

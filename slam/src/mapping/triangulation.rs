@@ -15,11 +15,17 @@ const SCALE_TOLERANCE: f64 = 1.5;
 const EPIPOLE_MARGIN_PX: f64 = 10.0;
 
 /// Makes points with the key frame's neighbours. Returns their ids.
-pub(super) fn triangulate_with_neighbours(map: &mut Map, id: KeyframeId, config: &MappingConfig) -> Vec<PointId> {
+pub(super) fn triangulate_with_neighbours(
+    map: &mut Map,
+    id: KeyframeId,
+    config: &MappingConfig,
+) -> Vec<PointId> {
     let mut made = Vec::new();
     for neighbour in neighbours(map, id, config.n_triangulation_neighbours) {
         let candidates = match (map.keyframe(id), map.keyframe(neighbour)) {
-            (Some(current), Some(neighbour)) => PairSearch::new(current, neighbour, map, config).map(PairSearch::run),
+            (Some(current), Some(neighbour)) => {
+                PairSearch::new(current, neighbour, map, config).map(PairSearch::run)
+            }
             _ => None,
         };
         for (current_idx, neighbour_idx, position) in candidates.unwrap_or_default() {
@@ -100,7 +106,8 @@ impl<'a> PairSearch<'a> {
     /// Keypoint of the current view, keypoint of the neighbour, position in the world.
     fn run(self) -> Vec<(usize, usize, Vector3<f64>)> {
         let mut claims: Vec<Option<(u32, usize)>> = vec![None; self.neighbour.features.len()];
-        for current_idx in (0..self.current.features.len()).filter(|idx| self.current.points[*idx].is_none()) {
+        for current_idx in (0..self.current.features.len()).filter(|idx| self.current.points[*idx].is_none())
+        {
             let Some((distance, neighbour_idx)) = self.best_match(current_idx) else { continue };
             if claims[neighbour_idx].is_none_or(|(claimed, _)| distance < claimed) {
                 claims[neighbour_idx] = Some((distance, current_idx));
@@ -112,7 +119,8 @@ impl<'a> PairSearch<'a> {
             .enumerate()
             .filter_map(|(neighbour_idx, claim)| {
                 let (_, current_idx) = (*claim)?;
-                let change = angle(&self.neighbour.features, neighbour_idx) - angle(&self.current.features, current_idx);
+                let change = angle(&self.neighbour.features, neighbour_idx)
+                    - angle(&self.current.features, current_idx);
                 Some((current_idx, neighbour_idx, change))
             })
             .collect();

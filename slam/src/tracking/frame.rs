@@ -44,8 +44,4 @@ impl TrackedFrame {
             covisible: Vec::new(),
         }
     }
-
-    pub fn n_points(&self) -> usize {
-        self.points.iter().flatten().count()
-    }
 }

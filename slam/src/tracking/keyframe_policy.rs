@@ -33,7 +33,9 @@ impl LastKeyframe {
             .points
             .iter()
             .enumerate()
-            .filter_map(|(idx, id)| Some((self.pixels.get(id.as_ref()?)? - frame.features.undistorted[idx]).norm()))
+            .filter_map(|(idx, id)| {
+                Some((self.pixels.get(id.as_ref()?)? - frame.features.undistorted[idx]).norm())
+            })
             .collect();
         if moved.len() < MIN_COMMON_POINTS {
             return f64::INFINITY;
@@ -57,7 +59,9 @@ pub(super) fn wants_keyframe(
     }
     let share = tracked_share(map, frame.reference, n_inliers);
     let Some(last) = last else { return share < config.max_tracked_share };
-    if frame.timestamp_ns - last.timestamp_ns >= config.max_interval_ns && share < config.max_tracked_share_after_wait {
+    if frame.timestamp_ns - last.timestamp_ns >= config.max_interval_ns
+        && share < config.max_tracked_share_after_wait
+    {
         return true;
     }
     let displacement = last.displacement(frame);

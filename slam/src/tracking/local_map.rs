@@ -43,7 +43,12 @@ impl Sightings {
 
 impl LocalMap {
     /// Collects what is near the frame. Returns the key frame that shares the most points with it.
-    pub fn collect(&mut self, map: &Map, frame: &TrackedFrame, config: &TrackingConfig) -> Option<KeyframeId> {
+    pub fn collect(
+        &mut self,
+        map: &Map,
+        frame: &TrackedFrame,
+        config: &TrackingConfig,
+    ) -> Option<KeyframeId> {
         let mut votes: BTreeMap<KeyframeId, u32> = BTreeMap::new();
         for point in frame.points.iter().flatten().filter_map(|id| map.point(*id)) {
             for seen in &point.observations {
@@ -111,7 +116,8 @@ impl LocalMap {
         let mut n_found = 0;
         for id in self.points.iter().filter(|id| self.stamps[id.index()] != self.round) {
             let Some(point) = map.point(*id) else { continue };
-            let view = PredictedView::of(point, &frame.camera_from_world, &centre, &features, min_view_cosine);
+            let view =
+                PredictedView::of(point, &frame.camera_from_world, &centre, &features, min_view_cosine);
             let Some(view) = view else { continue };
             sightings.visible(*id);
             let radius = view.radius_px(radius_px, &features);

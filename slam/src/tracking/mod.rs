@@ -15,8 +15,8 @@ use crate::features::FrameFeatures;
 use crate::map::{FramePose, KeyframeId, Map, SubmapId};
 use crate::report::{LostReason, TrackingOutcome};
 use frame::TrackedFrame;
-use keyframe_policy::LastKeyframe;
 use geometry::Pose;
+use keyframe_policy::LastKeyframe;
 use local_map::LocalMap;
 use relocalisation::Relocaliser;
 use search::{Expected, match_keyframe, search_by_motion};
@@ -117,7 +117,13 @@ impl Tracker {
     }
 
     /// Finds the pose of a frame in the map.
-    pub fn track(&mut self, sequence: u64, timestamp_ns: i64, features: Arc<FrameFeatures>, map: &Map) -> Tracked {
+    pub fn track(
+        &mut self,
+        sequence: u64,
+        timestamp_ns: i64,
+        features: Arc<FrameFeatures>,
+        map: &Map,
+    ) -> Tracked {
         if features.len() < self.config.tracking.min_weak_inliers {
             let n_required = self.config.tracking.min_weak_inliers;
             return self.lose(LostReason::TooFewFeatures { n_keypoints: features.len(), n_required });
@@ -185,14 +191,18 @@ impl Tracker {
             search_by_motion(&features, &frame.camera_from_world, expected(), radius, &mut frame.points);
         if n_matches < config.min_motion_matches {
             frame.points.fill(None);
-            n_matches =
-                search_by_motion(&features, &frame.camera_from_world, expected(), 2.0 * radius, &mut frame.points);
+            n_matches = search_by_motion(
+                &features,
+                &frame.camera_from_world,
+                expected(),
+                2.0 * radius,
+                &mut frame.points,
+            );
         }
         if n_matches < config.min_first_inliers {
             return None;
         }
-        let fit = place_frame(&mut frame, map);
-        (fit.n_inliers >= config.min_first_inliers).then_some(frame)
+        (place_frame(&mut frame, map) >= config.min_first_inliers).then_some(frame)
     }
 
     /// Points of the reference key frame, recognised by their descriptors, starting from the last pose.
@@ -207,8 +217,7 @@ impl Tracker {
         for (feature_idx, id) in matches {
             frame.points[feature_idx] = Some(id);
         }
-        let fit = place_frame(&mut frame, map);
-        (fit.n_inliers >= config.min_first_inliers).then_some(frame)
+        (place_frame(&mut frame, map) >= config.min_first_inliers).then_some(frame)
     }
 
     /// Finds more of what is near and places the frame by all of it. Returns the number of inliers.
@@ -221,9 +230,9 @@ impl Tracker {
         let wide = self.n_since_relocalisation.is_some_and(|n| n < WIDE_SEARCH_FRAMES);
         let radius = config.map_search_radius_px * if wide { WIDE_SEARCH_FACTOR } else { 1.0 };
         self.local_map.search(map, frame, radius, config, &mut self.sightings);
-        let fit = place_frame(frame, map);
+        let n_inliers = place_frame(frame, map);
         frame.points.iter().flatten().for_each(|id| self.sightings.found(*id));
-        fit.n_inliers
+        n_inliers
     }
 
     /// Judges a placed frame and remembers it for the next.

@@ -39,7 +39,8 @@ impl Relocaliser {
 
     /// Enters the key frames that are new in the map and drops those that are gone.
     pub fn learn(&mut self, map: &Map) {
-        let gone: Vec<KeyframeId> = self.known.iter().copied().filter(|id| map.keyframe(*id).is_none()).collect();
+        let gone: Vec<KeyframeId> =
+            self.known.iter().copied().filter(|id| map.keyframe(*id).is_none()).collect();
         for id in gone {
             self.known.remove(&id);
             self.index.remove(id.get());
@@ -74,19 +75,24 @@ impl Relocaliser {
         frame.reference = keyframe.id;
         frame.submap = keyframe.submap;
         self.place_by_matches(&mut frame, &matches, map)?;
-        let mut fit = place_frame(&mut frame, map);
-        if fit.n_inliers < self.config.min_first_inliers {
+        let mut n_inliers = place_frame(&mut frame, map);
+        if n_inliers < self.config.min_first_inliers {
             return None;
         }
-        if fit.n_inliers < self.config.min_inliers {
+        if n_inliers < self.config.min_inliers {
             self.search_around(&mut frame, keyframe, map);
-            fit = place_frame(&mut frame, map);
+            n_inliers = place_frame(&mut frame, map);
         }
-        (fit.n_inliers >= self.config.min_inliers).then_some(frame)
+        (n_inliers >= self.config.min_inliers).then_some(frame)
     }
 
     /// A pose from three matches that many others agree with; only those are kept.
-    fn place_by_matches(&mut self, frame: &mut TrackedFrame, matches: &[(usize, PointId)], map: &Map) -> Option<()> {
+    fn place_by_matches(
+        &mut self,
+        frame: &mut TrackedFrame,
+        matches: &[(usize, PointId)],
+        map: &Map,
+    ) -> Option<()> {
         let focal_px = frame.features.pinhole.mean_focal_px();
         let mut known = Vec::with_capacity(matches.len());
         let mut observations = Vec::with_capacity(matches.len());
@@ -116,7 +122,8 @@ impl Relocaliser {
     fn search_around(&self, frame: &mut TrackedFrame, keyframe: &Keyframe, map: &Map) {
         let mut seen: BTreeSet<PointId> = frame.points.iter().flatten().copied().collect();
         let features = frame.features.clone();
-        let neighbours = keyframe.covisible().iter().take(N_NEIGHBOURS).filter_map(|(id, _)| map.keyframe(*id));
+        let neighbours =
+            keyframe.covisible().iter().take(N_NEIGHBOURS).filter_map(|(id, _)| map.keyframe(*id));
         for neighbour in std::iter::once(keyframe).chain(neighbours) {
             let wanted: Vec<(usize, PointId)> =
                 neighbour.observed_points().filter(|(_, id)| seen.insert(*id)).collect();
@@ -126,7 +133,13 @@ impl Relocaliser {
                 let descriptor = &point.descriptor;
                 Some(Expected { point, octave: keypoint.octave, angle: keypoint.angle, descriptor })
             });
-            search_by_motion(&features, &frame.camera_from_world, expected, GUIDED_RADIUS_PX, &mut frame.points);
+            search_by_motion(
+                &features,
+                &frame.camera_from_world,
+                expected,
+                GUIDED_RADIUS_PX,
+                &mut frame.points,
+            );
         }
     }
 }

@@ -142,7 +142,9 @@ pub(crate) fn search_by_motion<'a>(
         let radius = radius_px * features.pyramid.scale(octave);
         let octaves = octave.saturating_sub(1)..=octave + 1;
         let matched =
-            find_in_window(features, descriptor, &pixel, radius, octaves, None, LOOSE_DISTANCE, |idx| points[idx].is_some());
+            find_in_window(features, descriptor, &pixel, radius, octaves, None, LOOSE_DISTANCE, |idx| {
+                points[idx].is_some()
+            });
         if let Some(Found { feature_idx }) = matched {
             points[feature_idx] = Some(point.id);
             let change = features.keypoints[feature_idx].angle - angle;

@@ -8,6 +8,7 @@ mod lanes;
 mod orientation;
 mod pattern;
 mod quota;
+mod refine;
 mod spread;
 #[cfg(test)]
 mod tests;
@@ -109,9 +110,13 @@ pub struct OrbConfig {
     /// Keypoints keep this distance from the edges of their level, pixels; at least 16, so that the patch of
     /// orientation and descriptor (radius 15) lies inside. Default 16.
     pub edge_margin_px: u32,
+    /// Find corners to a fraction of a pixel. Default true: on EuRoC part b and POV office the median trajectory error
+    /// fell by about a tenth, for a quarter of a millisecond per 1000 features.
+    pub refine_corners: bool,
     /// Share of the features chosen for covering the image, each the strongest of its square; the rest are the strongest
-    /// anywhere, which are the ones found again most often. 0 to 1. Default 0.25: on EuRoC V1_01, 5 frames apart, 550
-    /// correct matches in 84 squares of 32 px; at 0 it is 580 in 73, at 0.5 492 in 101, at 1 365 in 132.
+    /// anywhere, which are the ones found again most often. 0 to 1. Default 0.5: on EuRoC V1_01, 5 frames apart, 492
+    /// correct matches in 101 squares of 32 px; at 0 it is 580 in 73, at 0.25 550 in 84, at 1 365 in 132. Cover matters
+    /// more than number for the pose: from 0.25 to 0.5 the trajectory error on EuRoC part b fell from 0.0043 to 0.0036 m.
     pub spread_share: f32,
 }
 
@@ -125,7 +130,8 @@ impl Default for OrbConfig {
             min_fast_threshold: 7,
             cell_size_px: 30,
             edge_margin_px: MIN_EDGE_MARGIN_PX,
-            spread_share: 0.25,
+            refine_corners: true,
+            spread_share: 0.5,
         }
     }
 }
@@ -209,6 +215,7 @@ pub struct OrbExtractor {
     kept: Vec<Corner>,
     blur: blur::Blur,
     blurred: GrayImage,
+    refiner: refine::Refiner,
     tests: brief::SteeredTests,
 }
 
@@ -224,6 +231,7 @@ impl OrbExtractor {
             kept: Vec::new(),
             blur: blur::Blur::default(),
             blurred: GrayImage::default(),
+            refiner: refine::Refiner::new(),
             tests: brief::SteeredTests::new(),
         })
     }
@@ -285,10 +293,12 @@ impl OrbExtractor {
         for corner in &self.kept {
             let (x, y) = (u32::from(corner.x), u32::from(corner.y));
             let angle = orientation::angle(image, x, y);
+            let (shift_x, shift_y) =
+                if self.config.refine_corners { self.refiner.shift(&self.blurred, x, y) } else { (0.0, 0.0) };
             features.keypoints.push(Keypoint {
                 // Pixel centres are at integers, the image's edge at -0.5; edges coincide in all levels.
-                x: (x as f32 + 0.5) * scale_x - 0.5,
-                y: (y as f32 + 0.5) * scale_y - 0.5,
+                x: (x as f32 + shift_x + 0.5) * scale_x - 0.5,
+                y: (y as f32 + shift_y + 0.5) * scale_y - 0.5,
                 octave: level as u8,
                 angle,
                 response: f32::from(corner.score),

@@ -43,7 +43,8 @@ mod tests {
     fn jacobians_match_central_differences() {
         for seed in 0..16 {
             let s = f64::from(seed);
-            let pose = Pose::exp(&Vector6::new(s.sin(), s.cos(), 0.1 * s, 1.0 + 0.1 * s, -0.5, (3.0 * s).sin()));
+            let pose =
+                Pose::exp(&Vector6::new(s.sin(), s.cos(), 0.1 * s, 1.0 + 0.1 * s, -0.5, (3.0 * s).sin()));
             let factor = BaselineLengthFactor { length: 0.7, inverse_sigma: 20.0 };
             optim::testing::assert_jacobians_match(&factor, &(pose,), 1e-6, 1e-5);
         }

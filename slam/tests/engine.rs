@@ -1,0 +1,262 @@
+//! The whole engine on rendered sequences with exact truth.
+
+use geometry::nalgebra::Vector3;
+use geometry::{Pose, Similarity};
+use slam::map::{FrameRecord, FrameState, MapParts};
+use slam::{Frame, FrameError, FrameReport, InitialisationWait, Map, NoClock, Pipeline, ResumeState};
+use slam::{SlamConfig, Threading, TrackingOutcome};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use synthetic::{Preset, Sequence};
+use vision::GrayImage;
+
+/// A session under test, with the trajectory as a store would keep it.
+struct Session {
+    pipeline: Pipeline,
+    records: BTreeMap<u64, FrameRecord>,
+}
+
+impl Session {
+    fn new(sequence: &Sequence, threading: Threading) -> Self {
+        Self::resume(sequence, threading, ResumeState::default())
+    }
+
+    fn resume(sequence: &Sequence, threading: Threading, state: ResumeState) -> Self {
+        let config = SlamConfig { threading, seed: 7, ..SlamConfig::default() };
+        let pipeline = Pipeline::resume(config, sequence.camera().clone(), Arc::new(NoClock), state).unwrap();
+        Self { pipeline, records: BTreeMap::new() }
+    }
+
+    fn frame(&mut self, number: u64, image: GrayImage) -> FrameReport {
+        let frame = Frame { sequence: number, timestamp_ns: number as i64 * 33_333_333, image };
+        let report = self.pipeline.process_frame(frame).unwrap();
+        let updates = self.pipeline.take_updates();
+        self.store(updates);
+        report
+    }
+
+    fn finish(&mut self) -> Arc<Map> {
+        let updates = self.pipeline.finish();
+        self.store(updates);
+        self.pipeline.map()
+    }
+
+    fn store(&mut self, updates: Vec<slam::MapUpdate>) {
+        for update in updates {
+            update.map.check().unwrap();
+            self.records.extend(update.frames.iter().map(|record| (record.sequence, *record)));
+        }
+    }
+
+    /// Camera positions by frame number.
+    fn positions(&self, map: &Map) -> BTreeMap<u64, Vector3<f64>> {
+        let world_from_camera = |record: &FrameRecord| -> Option<Pose> {
+            let pose = record.pose?;
+            Some((pose.camera_from_reference * map.camera_from_world(pose.reference)?).inverse())
+        };
+        self.records
+            .iter()
+            .filter_map(|(number, record)| Some((*number, world_from_camera(record)?.translation)))
+            .collect()
+    }
+}
+
+fn image(sequence: &Sequence, index: usize) -> GrayImage {
+    let rendered = sequence.frame(index).image;
+    GrayImage::from_raw(rendered.width(), rendered.height(), rendered.into_pixels()).unwrap()
+}
+
+/// Root mean square distance to the truth after similarity alignment, as a share of the truth's path.
+fn relative_error(
+    sequence: &Sequence,
+    positions: &BTreeMap<u64, Vector3<f64>>,
+    index_of: impl Fn(u64) -> usize,
+) -> f64 {
+    let truth: Vec<Vector3<f64>> =
+        positions.keys().map(|number| sequence.camera_from_world(index_of(*number)).centre()).collect();
+    let estimate: Vec<Vector3<f64>> = positions.values().copied().collect();
+    let aligned = Similarity::from_correspondences(&estimate, &truth, true).unwrap();
+    let squared: f64 =
+        estimate.iter().zip(&truth).map(|(e, t)| (aligned.transform(e) - t).norm_squared()).sum::<f64>();
+    let path: f64 = truth.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    (squared / estimate.len() as f64).sqrt() / path
+}
+
+#[test]
+fn a_rich_room_is_tracked_within_one_per_cent_of_the_path() {
+    let sequence = Sequence::preset(Preset::RoomRich, 1);
+    let n = sequence.len().min(150);
+    let mut session = Session::new(&sequence, Threading::Background);
+    for index in 0..n {
+        session.frame(index as u64, image(&sequence, index));
+    }
+    let map = session.finish();
+    let positions = session.positions(&map);
+    assert!(positions.len() >= n * 97 / 100, "only {} of {n} frames have a pose", positions.len());
+    let error = relative_error(&sequence, &positions, |number| number as usize);
+    assert!(error < 0.01, "error of {:.3} % of the path", 100.0 * error);
+    assert!(
+        map.n_keyframes() >= 5 && map.n_points() >= 300,
+        "{} key frames, {} points",
+        map.n_keyframes(),
+        map.n_points()
+    );
+    assert_eq!(session.records.len(), n, "every frame is in the trajectory, with or without a pose");
+}
+
+#[test]
+fn the_same_frames_and_seed_give_the_same_trajectory() {
+    let sequence = Sequence::preset(Preset::RoomRich, 2);
+    let run = || {
+        let mut session = Session::new(&sequence, Threading::Inline);
+        let reports: Vec<FrameReport> =
+            (0..60).map(|index| session.frame(index as u64, image(&sequence, index))).collect();
+        let map = session.finish();
+        let points: Vec<[u64; 3]> =
+            map.points().map(|point| [0, 1, 2].map(|axis| point.position[axis].to_bits())).collect();
+        (reports, session.records, points)
+    };
+    let (first, second) = (run(), run());
+    assert_eq!(first.0, second.0);
+    assert_eq!(first.1, second.1);
+    assert!(!first.2.is_empty() && first.2 == second.2);
+}
+
+#[test]
+fn a_resumed_session_finds_its_place_and_goes_on_in_the_same_frame_of_reference() {
+    let sequence = Sequence::preset(Preset::RoomRich, 3);
+    let mut session = Session::new(&sequence, Threading::Background);
+    for index in 0..90 {
+        session.frame(index as u64, image(&sequence, index));
+    }
+    let map = session.finish();
+    let (last_keyframe_id, last_point_id) = map.last_ids();
+    let state = ResumeState {
+        map: MapParts {
+            keyframes: map.keyframes().cloned().collect(),
+            points: map.points().cloned().collect(),
+            removed_keyframes: map.removed_keyframes().copied().collect(),
+            last_keyframe_id,
+            last_point_id,
+        },
+        last_frame: Some((89, 89 * 33_333_333)),
+    };
+    let mut resumed = Session::resume(&sequence, Threading::Background, state);
+    resumed.records = std::mem::take(&mut session.records);
+    let reports: Vec<FrameReport> =
+        (90..130).map(|index| resumed.frame(index as u64, image(&sequence, index))).collect();
+    let first_found =
+        reports.iter().position(|report| report.relocalised).expect("the session finds its place");
+    assert!(first_found < 10, "found only after {first_found} frames");
+    let map = resumed.finish();
+    let positions = resumed.positions(&map);
+    assert!(positions.keys().filter(|number| **number >= 90).count() >= 30);
+    let error = relative_error(&sequence, &positions, |number| number as usize);
+    assert!(error < 0.02, "error of {:.3} % of the path over both parts", 100.0 * error);
+}
+
+#[test]
+fn a_covered_lens_loses_the_camera_and_a_known_view_finds_it_again() {
+    let sequence = Sequence::preset(Preset::RoomRich, 4);
+    let mut session = Session::new(&sequence, Threading::Background);
+    for index in 0..80 {
+        session.frame(index as u64, image(&sequence, index));
+    }
+    let camera = sequence.camera();
+    for number in 80..90 {
+        let report = session.frame(number, GrayImage::new(camera.width(), camera.height()));
+        assert_eq!(report.outcome.state(), FrameState::Lost);
+        assert!(report.world_from_camera.is_none() && !report.outcome.reason().is_empty());
+    }
+    let found =
+        (90..100).find(|number| session.frame(*number, image(&sequence, 60)).world_from_camera.is_some());
+    assert!(found.is_some(), "a view of the map is recognised");
+}
+
+#[test]
+fn images_without_content_never_make_a_map() {
+    let sequence = Sequence::preset(Preset::RoomRich, 1);
+    let (width, height) = (sequence.camera().width(), sequence.camera().height());
+    let noise = |seed: u64| {
+        let mut state = seed;
+        GrayImage::from_fn(width, height, |_, _| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 56) as u8
+        })
+    };
+    let plain = |value: u8| GrayImage::from_fn(width, height, |_, _| value);
+    type Maker<'a> = Box<dyn Fn(u64) -> GrayImage + 'a>;
+    let kinds: [(&str, Maker); 4] = [
+        ("black", Box::new(|_| plain(0))),
+        ("saturated", Box::new(|_| plain(255))),
+        ("grey", Box::new(|_| plain(128))),
+        ("noise", Box::new(|number| noise(number + 1))),
+    ];
+    for (kind, make) in kinds {
+        let mut session = Session::new(&sequence, Threading::Inline);
+        for number in 0..8 {
+            let report = session.frame(number, make(number));
+            assert!(
+                matches!(report.outcome, TrackingOutcome::Initialising(_)),
+                "{kind}: {:?}",
+                report.outcome
+            );
+            assert!(!report.outcome.reason().is_empty());
+        }
+        assert_eq!(session.finish().n_keyframes(), 0, "{kind}");
+    }
+}
+
+#[test]
+fn a_camera_at_rest_waits_and_says_why() {
+    let sequence = Sequence::preset(Preset::RoomRich, 1);
+    let mut session = Session::new(&sequence, Threading::Inline);
+    let outcomes: Vec<TrackingOutcome> =
+        (0..5).map(|number| session.frame(number, image(&sequence, 0)).outcome).collect();
+    let waits = |outcome: &TrackingOutcome| {
+        matches!(outcome, TrackingOutcome::Initialising(InitialisationWait::TooLittleParallax { .. }))
+    };
+    assert!(outcomes[1..].iter().all(waits), "{outcomes:?}");
+}
+
+#[test]
+fn frames_that_cannot_be_used_change_nothing() {
+    let sequence = Sequence::preset(Preset::RoomRich, 1);
+    let mut session = Session::new(&sequence, Threading::Inline);
+    session.frame(5, image(&sequence, 0));
+    let mut refuse = |sequence_number: u64, timestamp_ns: i64, image: GrayImage| {
+        session.pipeline.process_frame(Frame { sequence: sequence_number, timestamp_ns, image }).unwrap_err()
+    };
+    let good = || image(&sequence, 1);
+    assert!(matches!(
+        refuse(6, 1_000_000_000, GrayImage::new(320, 240)),
+        FrameError::WrongImageSize { width: 320, .. }
+    ));
+    assert!(matches!(refuse(6, 5 * 33_333_333, good()), FrameError::TimestampNotIncreasing { .. }));
+    assert!(matches!(
+        refuse(5, 1_000_000_000, good()),
+        FrameError::SequenceNotIncreasing { last_sequence: 5, .. }
+    ));
+    session.frame(6, good());
+}
+
+#[test]
+fn an_inconsistent_stored_map_is_refused() {
+    let sequence = Sequence::preset(Preset::RoomRich, 1);
+    let mut session = Session::new(&sequence, Threading::Inline);
+    let mut number = 0;
+    while session.pipeline.map().n_keyframes() == 0 && number < 60 {
+        session.frame(number, image(&sequence, number as usize));
+        number += 1;
+    }
+    let map = session.finish();
+    let mut parts = MapParts {
+        keyframes: map.keyframes().cloned().collect(),
+        points: map.points().cloned().collect(),
+        ..MapParts::default()
+    };
+    assert!(Map::from_parts(parts.clone()).is_ok());
+    parts.points.pop().expect("the map has points");
+    let error = Map::from_parts(parts).unwrap_err();
+    assert!(error.to_string().contains("claims point"), "{error}");
+}
