@@ -196,6 +196,7 @@ impl Map {
         if !orphans.is_empty() {
             let removed = Arc::make_mut(&mut self.removed_keyframes);
             removed.retain(|id, _| !orphans.contains(id));
+            self.changes.removed_keyframes.extend(orphans);
         }
     }
 

@@ -30,6 +30,21 @@ pub struct Keyframe {
 }
 
 impl Keyframe {
+    /// A key frame of stored parts that sees no landmark yet: fill `points` afterwards.
+    pub fn from_parts(
+        id: KeyframeId,
+        submap: SubmapId,
+        sequence: u64,
+        timestamp_ns: i64,
+        camera_from_world: Pose,
+        features: Arc<FrameFeatures>,
+        parent: Option<KeyframeId>,
+    ) -> Self {
+        let points = vec![None; features.len()];
+        let covisible = Vec::new();
+        Self { id, submap, sequence, timestamp_ns, camera_from_world, features, points, parent, covisible }
+    }
+
     /// Key frames that share points with this one and how many they share, most first.
     pub fn covisible(&self) -> &[(KeyframeId, u32)] {
         &self.covisible
