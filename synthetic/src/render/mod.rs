@@ -93,18 +93,17 @@ impl Renderer {
         let (width, height) = (self.camera.width() as usize, self.camera.height() as usize);
         let faces = FrameFaces::new(&self.world, camera_from_world, self.options.texel);
         let mut pixels = vec![0.0; width * height];
-        let rows_per_band = height.div_ceil(self.options.threads.max(1));
-        let bands = pixels.chunks_mut(rows_per_band * width).enumerate();
         if self.options.threads <= 1 {
-            bands.for_each(|(_, band)| shade_band(self, &faces, 0, band));
-        } else {
-            std::thread::scope(|scope| {
-                for (i, band) in bands {
-                    let faces = &faces;
-                    scope.spawn(move || shade_band(self, faces, i * rows_per_band, band));
-                }
-            });
+            shade_band(self, &faces, 0, &mut pixels);
+            return pixels;
         }
+        let rows_per_band = height.div_ceil(self.options.threads);
+        std::thread::scope(|scope| {
+            for (i, band) in pixels.chunks_mut(rows_per_band * width).enumerate() {
+                let faces = &faces;
+                scope.spawn(move || shade_band(self, faces, i * rows_per_band, band));
+            }
+        });
         pixels
     }
 

@@ -108,7 +108,7 @@ impl Cone {
         let along = dot(vector, self.axis);
         let across = (dot(vector, vector) - along * along).max(0.0).sqrt();
         let (middle, spread) = (along * self.cos, across * self.sin);
-        let length = along.hypot(across);
+        let length = (along * along + across * across).sqrt();
         // Where the vector, or its negative, lies inside of the cone, that is the extreme.
         let high = if along > length * self.cos { length } else { middle + spread };
         let low = if -along > length * self.cos { -length } else { middle - spread };

@@ -59,17 +59,20 @@ fn plain_run(rays: &RayTable, face: &FaceView, texture: &MipTexture, x: usize, y
     // All rays of a whole run at once, though the run may be shorter: arrays of fixed length are vectorised,
     // and the table's padding lies behind the last row.
     let from = y * rays.stride + x;
-    let centres = |table: &[f32]| -> [f32; RUN] {
-        let (upper, lower) = (&table[from..][..RUN + 1], &table[from + rays.stride..][..RUN + 1]);
-        std::array::from_fn(|i| 0.25 * ((upper[i] + upper[i + 1]) + (lower[i] + lower[i + 1])))
-    };
-    let (rx, ry, rz) = (centres(&rays.corner_x), centres(&rays.corner_y), centres(&rays.corner_z));
-    let along =
-        |[a, b, c]: [f32; 3]| -> [f32; RUN] { std::array::from_fn(|i| a * rx[i] + b * ry[i] + c * rz[i]) };
-    let (w, u, v) = (along(face.inverse_depth), along(face.u_axis), along(face.v_axis));
-    let depth: [f32; RUN] = std::array::from_fn(|i| 1.0 / w[i]);
-    let u: [f32; RUN] = std::array::from_fn(|i| u[i] * depth[i] - face.u_offset);
-    let v: [f32; RUN] = std::array::from_fn(|i| v[i] * depth[i] - face.v_offset);
+    let below = from + rays.stride;
+    let (x0, x1) = (&rays.corner_x[from..][..RUN + 1], &rays.corner_x[below..][..RUN + 1]);
+    let (y0, y1) = (&rays.corner_y[from..][..RUN + 1], &rays.corner_y[below..][..RUN + 1]);
+    let (z0, z1) = (&rays.corner_z[from..][..RUN + 1], &rays.corner_z[below..][..RUN + 1]);
+    let (mut u, mut v) = ([0.0_f32; RUN], [0.0_f32; RUN]);
+    for i in 0..RUN {
+        // The sum of the corners: its length cancels.
+        let ray = [
+            (x0[i] + x0[i + 1]) + (x1[i] + x1[i + 1]),
+            (y0[i] + y0[i + 1]) + (y1[i] + y1[i + 1]),
+            (z0[i] + z0[i + 1]) + (z1[i] + z1[i + 1]),
+        ];
+        (u[i], v[i]) = face.texture_coordinates(ray);
+    }
     line.copy_from_slice(&texture.sample(&u, &v, &footprint)[..line.len()]);
 }
 

@@ -214,7 +214,10 @@ fn decide_row(rays: &RayTable, frame: &FrameFaces, found: &[Candidate], from: us
     for candidate in found {
         let face = &frame.faces[usize::from(candidate.index)];
         let [a, b, c] = face.inverse_depth;
-        let mut w: [f32; TILE] = std::array::from_fn(|i| a * x[i] + b * y[i] + c * z[i]);
+        let mut w = [0.0_f32; TILE];
+        for i in 0..TILE {
+            w[i] = a * x[i] + b * y[i] + c * z[i];
+        }
         if !candidate.covers {
             for [a, b, c] in &face.sides {
                 for i in 0..TILE {
