@@ -68,7 +68,7 @@ pub struct InitialisationConfig {
     /// Width of the key frames' positions as a share of the scene's median depth from which a map is good enough to
     /// place older frames in, and those that were tracked in it while it was younger once more. Default 0.15.
     pub mature_baseline_share: f64,
-    /// Pairs tried per frame: the widest usable baseline and shorter ones. Default 3, to bound the time.
+    /// Pairs tried per frame: the widest usable baseline and shorter ones. Default 2, to bound the time.
     pub max_attempts_per_frame: usize,
     /// Side of the square a keypoint is looked for in is twice this, pixels at 640 wide. Default 100.
     pub search_radius_px: f64,
@@ -88,6 +88,8 @@ pub struct InitialisationConfig {
     /// Largest standard deviation of the direction of motion, degrees. Default 1.0: turning and moving sideways look
     /// alike over a short baseline, and a map begun on a wrong mixture of the two bends.
     pub max_direction_sigma_deg: f64,
+    /// Views after which twice that is accepted, and in between and beyond in proportion. Default 60: two seconds.
+    pub patience_views: usize,
     /// Share of the map's points a view between the two must confirm. Default 0.6.
     pub min_third_view_share: f64,
 }
@@ -100,7 +102,7 @@ impl Default for InitialisationConfig {
             max_reference_views: 30,
             max_backfill_views: 150,
             mature_baseline_share: 0.15,
-            max_attempts_per_frame: 3,
+            max_attempts_per_frame: 2,
             search_radius_px: 100.0,
             min_matches: 80,
             max_iterations: 300,
@@ -109,6 +111,7 @@ impl Default for InitialisationConfig {
             min_runner_up_cost_ratio: 1.3,
             min_parallax_deg: 1.0,
             max_direction_sigma_deg: 1.0,
+            patience_views: 60,
             min_third_view_share: 0.6,
         }
     }

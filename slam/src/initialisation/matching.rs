@@ -15,20 +15,22 @@ pub(super) fn match_views(
 ) -> Vec<(usize, usize)> {
     let mut claims: Vec<Option<(u32, usize)>> = vec![None; second.len()];
     let mut chosen: Vec<Option<usize>> = vec![None; first.len()];
+    let levels = Levels::of(second);
     for (first_idx, pixel) in first.undistorted.iter().enumerate() {
-        let octave = first.keypoints[first_idx].octave;
         let (mut best, mut runner_up) = ((u32::MAX, usize::MAX), u32::MAX);
         let (x, y, radius) = (pixel.x as f32, pixel.y as f32, radius_px as f32);
-        second.grid.for_each_in_window(x, y, radius, octave..=octave, |idx| {
-            let idx = idx as usize;
-            let distance = first.descriptors[first_idx].distance(&second.descriptors[idx]);
+        for entry in levels.entries(first.keypoints[first_idx].octave) {
+            if (entry.x - x).abs() > radius || (entry.y - y).abs() > radius {
+                continue;
+            }
+            let distance = first.descriptors[first_idx].distance(&second.descriptors[entry.idx as usize]);
             if distance < best.0 {
                 runner_up = best.0;
-                best = (distance, idx);
+                best = (distance, entry.idx as usize);
             } else if distance < runner_up {
                 runner_up = distance;
             }
-        });
+        }
         if best.0 <= STRICT_DISTANCE && best.0 as f32 <= RATIO * runner_up as f32 {
             chosen[first_idx] = Some(best.1);
             if claims[best.1].is_none_or(|(distance, _)| best.0 < distance) {
@@ -47,4 +49,32 @@ pub(super) fn match_views(
     pairs.iter().for_each(|pair| rotation.add(change(pair)));
     let dominant = rotation.dominant();
     pairs.into_iter().filter(|pair| dominant.accepts(change(pair))).collect()
+}
+
+/// Keypoints sorted by level: a window of this size holds so many that scanning a level is quicker than a grid.
+struct Levels {
+    by_octave: Vec<Vec<LevelEntry>>,
+}
+
+#[derive(Clone, Copy)]
+struct LevelEntry {
+    x: f32,
+    y: f32,
+    idx: u32,
+}
+
+impl Levels {
+    fn of(features: &FrameFeatures) -> Self {
+        let mut by_octave = vec![Vec::new(); usize::from(features.pyramid.n_levels)];
+        for (idx, (keypoint, pixel)) in features.keypoints.iter().zip(&features.undistorted).enumerate() {
+            if let Some(level) = by_octave.get_mut(usize::from(keypoint.octave)) {
+                level.push(LevelEntry { x: pixel.x as f32, y: pixel.y as f32, idx: idx as u32 });
+            }
+        }
+        Self { by_octave }
+    }
+
+    fn entries(&self, octave: u8) -> &[LevelEntry] {
+        self.by_octave.get(usize::from(octave)).map_or(&[], Vec::as_slice)
+    }
 }

@@ -20,6 +20,9 @@ use two_view::TwoViewMotion;
 /// The width of image that pixel distances in the configuration are meant for.
 const REFERENCE_WIDTH_PX: f64 = 640.0;
 
+/// Demands on the direction of motion fall to a share of one over this at most.
+const MAX_RELAXATION: f64 = 2.5;
+
 /// A frame that may become one of the first two key frames.
 #[derive(Clone, Debug)]
 pub(crate) struct View {
@@ -42,12 +45,14 @@ pub(crate) struct InitialPair {
 pub(crate) struct Initialiser {
     config: InitialisationConfig,
     views: VecDeque<View>,
+    /// Views tried since the start.
+    n_waited: usize,
     rng: ChaCha8Rng,
 }
 
 impl Initialiser {
     pub fn new(config: InitialisationConfig, seed: u64) -> Self {
-        Self { config, views: VecDeque::new(), rng: ChaCha8Rng::seed_from_u64(seed) }
+        Self { config, views: VecDeque::new(), n_waited: 0, rng: ChaCha8Rng::seed_from_u64(seed) }
     }
 
     /// Tries to start a map with this view as the second one; keeps it as a possible first one otherwise.
@@ -57,6 +62,7 @@ impl Initialiser {
             return Err(InitialisationWait::TooFewFeatures { n_keypoints, n_required });
         }
         let attempt = self.attempt(&view);
+        self.n_waited += 1;
         if attempt.is_err() {
             self.keep(view);
         }
@@ -78,25 +84,31 @@ impl Initialiser {
     /// Tries pairs from the widest baseline to shorter ones.
     fn attempt(&mut self, view: &View) -> Result<InitialPair, InitialisationWait> {
         let mut wait = InitialisationWait::FirstView;
+        let mut oldest_matches = Vec::new();
         // Views too old to share anything with the present one only cost time.
         while let Some(oldest) = self.views.front() {
-            let n_matches = self.matches(oldest, view).len();
-            if n_matches >= self.config.min_matches {
+            oldest_matches = self.matches(oldest, view);
+            let (n_matches, n_required) = (oldest_matches.len(), self.config.min_matches);
+            if n_matches >= n_required {
                 break;
             }
-            wait = InitialisationWait::TooFewMatches { n_matches, n_required: self.config.min_matches };
+            wait = InitialisationWait::TooFewMatches { n_matches, n_required };
             self.views.pop_front();
         }
         let n = self.views.len();
-        let mut tried = Vec::new();
-        for attempt in 0..self.config.max_attempts_per_frame {
-            let position = n - (n >> attempt);
-            if position >= n || tried.contains(&position) {
-                continue;
-            }
-            tried.push(position);
+        let mut positions: Vec<usize> = (0..self.config.max_attempts_per_frame)
+            .map(|attempt| n - (n >> attempt))
+            .filter(|at| *at < n)
+            .collect();
+        positions.dedup();
+        for position in positions {
             let reference = self.views[position].clone();
-            match self.try_pair(&reference, view) {
+            let matches = if position == 0 {
+                std::mem::take(&mut oldest_matches)
+            } else {
+                self.matches(&reference, view)
+            };
+            match self.try_pair(&reference, view, &matches) {
                 Ok(pair) => return Ok(pair),
                 Err(reason) => wait = more_telling(wait, reason),
             }
@@ -109,24 +121,36 @@ impl Initialiser {
         matching::match_views(&first.features, &second.features, radius_px)
     }
 
-    fn try_pair(&mut self, first: &View, second: &View) -> Result<InitialPair, InitialisationWait> {
-        let matches = self.matches(first, second);
+    fn try_pair(
+        &mut self,
+        first: &View,
+        second: &View,
+        matches: &[(usize, usize)],
+    ) -> Result<InitialPair, InitialisationWait> {
         let (n_matches, n_required) = (matches.len(), self.config.min_matches);
         if n_matches < n_required {
             return Err(InitialisationWait::TooFewMatches { n_matches, n_required });
         }
         let motion =
-            two_view::solve(&first.features, &second.features, &matches, &self.config, &mut self.rng)?;
-        let (pair, direction_sigma_deg) = refine(first, second, &matches, &motion);
+            two_view::solve(&first.features, &second.features, matches, &self.config, &mut self.rng)?;
+        let (pair, direction_sigma_deg) = refine(first, second, matches, &motion);
         let n_agreeing = pair.points.len();
-        if direction_sigma_deg > self.config.max_direction_sigma_deg {
-            let required_deg = self.config.max_direction_sigma_deg;
+        let required_deg = self.max_direction_sigma_deg();
+        if direction_sigma_deg > required_deg {
             return Err(InitialisationWait::UncertainMotion { direction_sigma_deg, required_deg });
         }
         if n_agreeing < self.config.min_points {
             return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
         }
         self.confirm(pair)
+    }
+
+    /// How well the direction of motion must be known. A camera that has moved for long without a good pair will hardly
+    /// offer a better one, so less is asked for with time.
+    fn max_direction_sigma_deg(&self) -> f64 {
+        let patience = self.config.patience_views.max(1) as f64;
+        let relaxation = 1.0 + self.n_waited as f64 / patience;
+        self.config.max_direction_sigma_deg * relaxation.min(MAX_RELAXATION)
     }
 
     /// A further view must see the points where the motion puts them: one between the two, or else one before them.

@@ -10,6 +10,8 @@ mod keyframe;
 mod paged;
 mod parts;
 mod point;
+#[cfg(test)]
+mod tests;
 
 pub use changes::{FramePose, FrameRecord, FrameState, MapChanges, MapUpdate};
 pub use ids::{KeyframeId, PointId, SubmapId};
