@@ -4,7 +4,9 @@ use crate::config::Config;
 use crate::service::Service;
 use crate::{grpc, rest};
 use anyhow::Context;
+use std::fs::{File, TryLockError};
 use std::net::SocketAddr;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use store::{Store, StoreOptions};
@@ -14,6 +16,9 @@ use tokio_util::sync::CancellationToken;
 
 /// Name of the database in the data folder.
 pub const DATABASE_FILE: &str = "monoslam.sqlite";
+
+/// Locked in the data folder by the server that uses it.
+const LOCK_FILE: &str = "monoslam.lock";
 
 /// Starts servers. See [`Server::start`].
 #[derive(Debug)]
@@ -27,6 +32,7 @@ impl Server {
     /// If the configuration cannot be used, the database cannot be opened, or a port is taken.
     pub async fn start(config: Config) -> anyhow::Result<Running> {
         config.validate()?;
+        let lock = lock_folder(&config.data_dir)?;
         let store = open_store(&config).await?;
         let grpc_listener = listen("grpc_addr", config.grpc_addr).await?;
         let http_listener = listen("http_addr", config.http_addr).await?;
@@ -39,7 +45,7 @@ impl Server {
         let http = rest::serve(rest::App::new(service.clone()), http_listener, closing.clone());
         let tasks = vec![("gRPC", tokio::spawn(grpc)), ("HTTP", tokio::spawn(http))];
         tracing::info!(%grpc_addr, %http_addr, "serving gRPC on {grpc_addr} and HTTP on {http_addr}");
-        Ok(Running { grpc_addr, http_addr, service, store, closing, tasks, grace })
+        Ok(Running { grpc_addr, http_addr, service, store, closing, tasks, grace, _lock: lock })
     }
 }
 
@@ -52,8 +58,10 @@ pub struct Running {
     service: Arc<Service>,
     store: Store,
     closing: CancellationToken,
-    tasks: Vec<(&'static str, JoinHandle<anyhow::Result<()>>)>,
+    tasks: Vec<Serving>,
     grace: Duration,
+    /// Held as long as the server runs.
+    _lock: File,
 }
 
 /// How a shutdown went.
@@ -74,20 +82,13 @@ impl Running {
     /// Stops accepting, ends the streams, waits until every session is saved, and closes the database, all within
     /// the configured grace period.
     pub async fn shutdown(self) -> Shutdown {
-        let Self { service, store, closing, tasks, grace, .. } = self;
+        let Self { service, store, closing, tasks, grace, _lock, .. } = self;
         tracing::info!("shutting down: no new connections, streams end, sessions are saved");
         closing.cancel();
-        let aborts: Vec<_> = tasks.iter().map(|(_, task)| task.abort_handle()).collect();
         let orderly = async {
             service.registry().shut_down().await;
             tracing::info!("every session is saved");
-            for (name, task) in tasks {
-                match task.await {
-                    Ok(Ok(())) => {}
-                    Ok(Err(error)) => tracing::error!("serving {name} failed: {error:#}"),
-                    Err(error) => tracing::error!("serving {name} failed: {error}"),
-                }
-            }
+            end_connections(tasks, grace / 2).await;
             if let Err(error) = store.close().await {
                 tracing::error!("the database did not close well: {error}");
             }
@@ -96,22 +97,52 @@ impl Running {
             tracing::info!("shut down, with everything saved");
             return Shutdown::Complete;
         }
-        aborts.iter().for_each(tokio::task::AbortHandle::abort);
         tracing::warn!("the grace period of {grace:?} ran out: what was still running is abandoned");
         Shutdown::Abandoned
     }
 }
 
-/// Opens the database of a configuration, making its folder if needed.
+type Serving = (&'static str, JoinHandle<anyhow::Result<()>>);
+
+/// Waits for answers that are still being read, but not for clients that have stopped reading.
+async fn end_connections(tasks: Vec<Serving>, patience: Duration) {
+    let deadline = tokio::time::Instant::now() + patience;
+    for (name, mut task) in tasks {
+        match tokio::time::timeout_at(deadline, &mut task).await {
+            Ok(Ok(Ok(()))) => {}
+            Ok(Ok(Err(error))) => tracing::error!("serving {name} failed: {error:#}"),
+            Ok(Err(error)) => tracing::error!("serving {name} failed: {error}"),
+            Err(_elapsed) => {
+                tracing::warn!("{name} clients that do not read their answers are left behind");
+                task.abort();
+            }
+        }
+    }
+}
+
+/// Makes the data folder and locks it: two servers on one database would each believe to own its sessions.
+fn lock_folder(folder: &Path) -> anyhow::Result<File> {
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let path = folder.join(LOCK_FILE);
+    let file = File::create(&path).with_context(|| format!("cannot make the file {}", path.display()))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => {
+            anyhow::bail!("another server uses the data in {}", folder.display())
+        }
+        Err(TryLockError::Error(error)) => {
+            Err(error).with_context(|| format!("cannot lock {}", path.display()))
+        }
+    }
+}
+
+/// Opens the database of a configuration; its folder must be there.
 ///
 /// # Errors
-/// If the folder cannot be made or the database cannot be opened.
+/// If the database cannot be opened.
 pub async fn open_store(config: &Config) -> anyhow::Result<Store> {
-    let folder = &config.data_dir;
-    tokio::fs::create_dir_all(folder)
-        .await
-        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    let path = folder.join(DATABASE_FILE);
+    let path = config.data_dir.join(DATABASE_FILE);
     let options = StoreOptions { max_bytes: config.limits.max_database_bytes, ..StoreOptions::default() };
     Store::open(&path, options).await.with_context(|| format!("cannot open the database {}", path.display()))
 }

@@ -81,7 +81,10 @@ async fn a_session_is_made_read_listed_and_deleted() {
     let api = Api::new().await;
     let made = api.post("/v1/sessions", &kitchen()).await;
     assert_eq!(made.status, StatusCode::CREATED);
-    insta::assert_json_snapshot!("session", made.json(), { ".created_at_ns" => "[time]" });
+    let mut session = made.json();
+    assert!(session["created_at_ns"].as_i64().is_some_and(|time| time > 1_700_000_000_000_000_000));
+    session["created_at_ns"] = json!("[time]");
+    insta::assert_json_snapshot!("session", session);
     assert_eq!(api.get("/v1/sessions/kitchen").await.json(), made.json());
     let page = api.get("/v1/sessions").await.json();
     assert_eq!(page, json!({ "sessions": [made.json()], "next_page_token": null }));
@@ -200,7 +203,9 @@ async fn the_document_describes_the_interface() {
     let api = Api::new().await;
     let served = api.get("/openapi.json").await.json();
     assert_eq!(served, serde_json::to_value(rest::openapi()).unwrap());
-    insta::assert_json_snapshot!("openapi", served, { ".info.version" => "[version]" });
+    let mut document = served;
+    document["info"]["version"] = json!("[version]");
+    insta::assert_json_snapshot!("openapi", document);
 }
 
 #[tokio::test]

@@ -1,7 +1,7 @@
 //! The end in order: streams are told, everything is saved, the database is whole.
 
 use proto::v1;
-use server::Shutdown;
+use server::{Config, Server, Shutdown};
 use std::time::{Duration, Instant};
 use store::{Store, StoreOptions};
 use tests::{FrameStream, TestServer, camera, create_session, frame, open_message, png};
@@ -35,7 +35,7 @@ async fn a_shutdown_saves_what_was_tracked_and_tells_the_client() {
 
 #[tokio::test]
 async fn a_client_that_does_not_read_its_answers_cannot_hold_a_shutdown_up() {
-    let server = TestServer::start().await;
+    let server = TestServer::start_with(|config| config.shutdown_grace_s = 10.0).await;
     let mut client = server.client().await;
     create_session(&mut client, "s", camera(320, 240)).await.unwrap();
     let stream = FrameStream::open(&mut client, open_message("s")).await.unwrap();
@@ -61,4 +61,18 @@ async fn a_client_that_does_not_read_its_answers_cannot_hold_a_shutdown_up() {
     );
     drop(stream);
     sending.abort();
+}
+
+#[tokio::test]
+async fn two_servers_cannot_share_a_database() {
+    let server = TestServer::start().await;
+    let error = Server::start(Config::local(server.folder()))
+        .await
+        .err()
+        .expect("the second server refuses to start");
+    assert!(error.to_string().contains("another server"), "{error:#}");
+    let (outcome, folder) = server.shut_down().await;
+    assert_eq!(outcome, Shutdown::Complete);
+    let next = Server::start(Config::local(folder.path())).await.expect("the folder is free again");
+    assert_eq!(next.shutdown().await, Shutdown::Complete);
 }

@@ -29,6 +29,9 @@ pub use trajectory::{Format, TrajectoryWriter};
 /// Largest request body: requests are a calibration and a few options.
 const MAX_BODY_BYTES: usize = 64 << 10;
 
+/// Observations are folded together this often, so that they do not pile up when nobody reads the metrics.
+const METRICS_FOLDED_EVERY: Duration = Duration::from_secs(5);
+
 /// What the handlers share.
 #[derive(Clone)]
 pub struct App {
@@ -93,16 +96,16 @@ pub fn openapi() -> utoipa::openapi::OpenApi {
 
 /// Serves HTTP until `closing`, then lets what is under way end.
 pub(crate) async fn serve(app: App, listener: TcpListener, closing: CancellationToken) -> anyhow::Result<()> {
-    let upkeep = app.metrics.clone();
-    tokio::spawn(async move {
-        // The exporter keeps raw observations until it is asked to fold them together.
-        loop {
-            tokio::time::sleep(Duration::from_secs(5)).await;
-            upkeep.run_upkeep();
-        }
-    });
+    tokio::spawn(fold_metrics(app.metrics.clone(), closing.clone()));
     axum::serve(listener, router(app)).with_graceful_shutdown(closing.cancelled_owned()).await?;
     Ok(())
+}
+
+/// The exporter keeps every observation until it is asked to fold them together.
+async fn fold_metrics(metrics: PrometheusHandle, closing: CancellationToken) {
+    while tokio::time::timeout(METRICS_FOLDED_EVERY, closing.cancelled()).await.is_err() {
+        metrics.run_upkeep();
+    }
 }
 
 fn panicked(_: Box<dyn std::any::Any + Send>) -> axum::response::Response {

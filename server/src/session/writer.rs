@@ -143,7 +143,8 @@ impl Outbox {
 
     /// Whether everything handed over is saved.
     pub fn is_idle(&self) -> bool {
-        self.saved.borrow().n_updates >= self.shared.lock().n_updates
+        let n_updates = self.shared.lock().n_updates;
+        self.saved.borrow().n_updates >= n_updates
     }
 
     /// Waits until everything handed over so far is saved, with a new attempt if the last one failed.
