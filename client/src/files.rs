@@ -48,6 +48,14 @@ impl FileError {
     }
 }
 
+/// The number of lines of a list, such as `rgb.txt`, that are neither empty nor comments.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn count_data_lines(path: &Path) -> Result<usize, FileError> {
+    Ok(TextFile::read(path)?.lines().count())
+}
+
 /// A whole text file.
 pub(crate) struct TextFile {
     path: PathBuf,

@@ -1,8 +1,9 @@
-//! Client library of the SLAM service: readers for the usual recordings and the measures of a trajectory.
+//! Client library of the SLAM service: streams recordings into sessions, fetches trajectories, and measures them.
 //!
-//! * [`dataset::Recording`]: a folder of images with its calibration, whatever its layout.
-//! * [`Trajectory`]: stamped camera poses, read from TUM, EuRoC and KITTI files.
-//! * [`evaluation::evaluate`]: how far an estimated trajectory is from the true one.
+//! * [`SlamClient`]: the typed client of the gRPC service; [`HttpClient`] fetches trajectories.
+//! * [`stream_frames`]: streams a [`FrameSource`], such as a [`dataset::Recording`], until every frame is
+//!   answered and saved, across broken connections.
+//! * [`Trajectory`] and [`evaluation::evaluate`]: how far an estimated trajectory is from the true one.
 //!
 //! ```
 //! use client::{Trajectory, evaluation::{evaluate, EvaluationOptions}};
@@ -18,10 +19,28 @@
 pub mod dataset;
 pub mod evaluation;
 
+mod convert;
+mod error;
 mod files;
+mod grpc;
+mod http;
+mod pacing;
+mod placement;
+mod source;
+mod streaming;
+mod summary;
 mod time;
 mod trajectory;
 
-pub use files::FileError;
+pub use convert::camera_message;
+pub use error::ClientError;
+pub use files::{FileError, count_data_lines};
+pub use grpc::{Answers, FrameSender, FrameStream, HTTP_PORT_HEADER, SlamClient};
+pub use http::{HttpClient, TrajectoryFormat, TrajectoryKind};
+pub use pacing::Pacing;
+pub use placement::{Placement, SessionEnd};
+pub use source::{FrameSource, ReadyFrame, read_ahead};
+pub use streaming::{StreamEvent, StreamPlan, stream_frames};
+pub use summary::{Distribution, FrameAnswer, StageSummary, StreamSummary};
 pub use time::{format_seconds, parse_seconds_ns};
 pub use trajectory::{StampedPose, Trajectory};

@@ -4,10 +4,10 @@ use std::str::FromStr;
 
 use geometry::Similarity;
 use geometry::nalgebra::Vector3;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The freedom given to the estimate before it is compared with the truth.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Alignment {
     /// Rotation, translation and scale: what one camera leaves open.

@@ -2,7 +2,7 @@
 
 use geometry::nalgebra::Vector3;
 use geometry::{Pose, Similarity, so3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{Alignment, Match, associate};
@@ -30,7 +30,7 @@ impl Default for EvaluationOptions {
 }
 
 /// The figures of one comparison. Lengths are in the units of the true trajectory.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Evaluation {
     /// What was taken out before the comparison.
     pub alignment: Alignment,

@@ -1,0 +1,114 @@
+//! What goes wrong between a client and its server.
+
+use thiserror::Error;
+use tonic::Code;
+use tonic_types::StatusExt;
+
+use crate::files::FileError;
+
+/// Why something asked of the server was not done.
+#[derive(Debug, Error)]
+pub enum ClientError {
+    /// The address is not one.
+    #[error("`{address}` is not the address of a server: {reason}")]
+    Address {
+        /// What was given.
+        address: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The server cannot be reached, or the connection broke.
+    #[error("the server at {server} cannot be reached: {reason}")]
+    Unreachable {
+        /// Its address.
+        server: String,
+        /// The reason, innermost cause last.
+        reason: String,
+    },
+    /// The server said no.
+    #[error("{message}")]
+    Refused {
+        /// The kind of error.
+        code: Code,
+        /// The server's sentence.
+        message: String,
+    },
+    /// The server answered what the contract does not allow.
+    #[error("the server's answer cannot be used: {0}")]
+    Protocol(String),
+    /// An image or list of the recording could not be read.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// What came could not be written.
+    #[error("cannot write: {0}")]
+    Write(#[from] std::io::Error),
+}
+
+impl ClientError {
+    /// Whether the same request may succeed later: the server did not answer, or said that it cannot now.
+    pub fn is_passing(&self) -> bool {
+        match self {
+            Self::Unreachable { .. } => true,
+            Self::Refused { code, .. } => *code == Code::Unavailable,
+            _ => false,
+        }
+    }
+
+    pub(crate) fn protocol(message: impl Into<String>) -> Self {
+        Self::Protocol(message.into())
+    }
+
+    /// Sorts a status into what the server said and what befell the connection.
+    ///
+    /// Both use codes such as INTERNAL, but the server's errors carry an `ErrorInfo`, and those made on this
+    /// side for a broken connection do not.
+    pub(crate) fn from_status(server: &str, status: &tonic::Status) -> Self {
+        let is_from_server = status.get_error_details().error_info().is_some();
+        let is_of_connection =
+            matches!(status.code(), Code::Unavailable | Code::Unknown | Code::Internal | Code::Cancelled);
+        if is_of_connection && !is_from_server {
+            return Self::Unreachable { server: server.to_owned(), reason: causes(status) };
+        }
+        Self::Refused { code: status.code(), message: status.message().to_owned() }
+    }
+}
+
+/// An error with its causes, each once, from the outermost in.
+pub(crate) fn causes(error: &(dyn std::error::Error + 'static)) -> String {
+    let mut sentences: Vec<String> = Vec::new();
+    let mut next = Some(error);
+    while let Some(cause) = next {
+        // The display of a status is its debug form; its message is the sentence.
+        let sentence = cause
+            .downcast_ref::<tonic::Status>()
+            .map_or_else(|| cause.to_string(), |s| s.message().to_owned());
+        if !sentence.is_empty() && !sentences.iter().any(|said| said.contains(&sentence)) {
+            sentences.push(sentence);
+        }
+        next = cause.source();
+    }
+    sentences.join(": ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashMap;
+    use tonic::Status;
+    use tonic_types::ErrorDetails;
+
+    #[test]
+    fn a_broken_connection_passes_and_a_refusal_does_not() {
+        let classify = |status: &Status| ClientError::from_status("http://h:1", status);
+        assert!(classify(&Status::unknown("h2 protocol error")).is_passing());
+        assert!(classify(&Status::unavailable("connection refused")).is_passing());
+        assert!(!classify(&Status::not_found("there is no session \"x\"")).is_passing());
+        let details = ErrorDetails::with_error_info("SESSION_FAILED", "monoslam", HashMap::new());
+        let failed = Status::with_error_details(Code::Internal, "the session failed", details);
+        assert!(!classify(&failed).is_passing());
+        assert_eq!(classify(&failed).to_string(), "the session failed");
+        let details = ErrorDetails::with_error_info("SHUTTING_DOWN", "monoslam", HashMap::new());
+        let closing = Status::with_error_details(Code::Unavailable, "the server is about to stop", details);
+        assert!(classify(&closing).is_passing());
+    }
+}

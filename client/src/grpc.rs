@@ -1,0 +1,244 @@
+//! The typed client of the gRPC service.
+
+use std::time::Duration;
+
+use proto::v1;
+use proto::v1::slam_service_client::SlamServiceClient;
+use proto::v1::stream_frames_request::Message as Sent;
+use proto::v1::stream_frames_response::Message as Received;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::{Channel, Endpoint, Uri};
+use tonic::{Response, Status, Streaming};
+
+use crate::error::{ClientError, causes};
+
+/// The response header in which the server tells the port of its HTTP interface.
+pub const HTTP_PORT_HEADER: &str = "x-monoslam-http-port";
+
+/// The port of the HTTP interface if the server does not tell.
+const DEFAULT_HTTP_PORT: u16 = 8080;
+
+/// A server that does not take a connection for this long is not there.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// A server that does not answer a ping for this long is gone. It answers while it works, so this only has to
+/// outlast a stall of the network.
+const KEEPALIVE: Duration = Duration::from_secs(10);
+
+/// Sessions asked for at a time.
+const PAGE_SIZE: u32 = 1000;
+
+/// Frames on their way to the connection. Flow control holds frames back where they are read; this only keeps
+/// the connection from running dry.
+const FRAMES_IN_FLIGHT: usize = 2;
+
+/// A connection to a SLAM server.
+#[derive(Clone, Debug)]
+pub struct SlamClient {
+    server: Uri,
+    grpc: SlamServiceClient<Channel>,
+}
+
+impl SlamClient {
+    /// Connects to the gRPC interface of a server, such as `http://127.0.0.1:50051`.
+    ///
+    /// # Errors
+    /// If the address is not one or nobody answers there.
+    pub async fn connect(server: &str) -> Result<Self, ClientError> {
+        let uri = parse_address(server)?;
+        let endpoint = Endpoint::from(uri.clone())
+            .connect_timeout(CONNECT_TIMEOUT)
+            .http2_keep_alive_interval(KEEPALIVE)
+            .keep_alive_timeout(KEEPALIVE)
+            .tcp_nodelay(true);
+        let channel = endpoint.connect().await.map_err(|error| ClientError::Unreachable {
+            server: server.to_owned(),
+            reason: causes(&error),
+        })?;
+        Ok(Self { server: uri, grpc: SlamServiceClient::new(channel) })
+    }
+
+    /// The address connected to.
+    pub fn server(&self) -> String {
+        self.server.to_string().trim_end_matches('/').to_owned()
+    }
+
+    /// Makes a session for one camera; with an empty id the server chooses one.
+    ///
+    /// # Errors
+    /// `ALREADY_EXISTS` if the id is taken, `INVALID_ARGUMENT` if the camera is refused.
+    pub async fn create_session(
+        &mut self,
+        request: v1::CreateSessionRequest,
+    ) -> Result<v1::Session, ClientError> {
+        let answer = self.grpc.create_session(request).await;
+        self.unpack(answer)
+    }
+
+    /// The session of that id as it is now; `None` if there is none.
+    ///
+    /// # Errors
+    /// If the server cannot be asked.
+    pub async fn session(&mut self, session_id: &str) -> Result<Option<v1::Session>, ClientError> {
+        let request = v1::GetSessionRequest { session_id: session_id.to_owned() };
+        let answer = self.grpc.get_session(request).await;
+        match self.unpack(answer) {
+            Ok(session) => Ok(Some(session)),
+            Err(ClientError::Refused { code: tonic::Code::NotFound, .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// All sessions in the order of their ids.
+    ///
+    /// # Errors
+    /// If the server cannot be asked.
+    pub async fn sessions(&mut self) -> Result<Vec<v1::Session>, ClientError> {
+        let mut sessions = Vec::new();
+        let mut page_token = String::new();
+        loop {
+            let answer =
+                self.grpc.list_sessions(v1::ListSessionsRequest { page_size: PAGE_SIZE, page_token }).await;
+            let page = self.unpack(answer)?;
+            sessions.extend(page.sessions);
+            page_token = page.next_page_token;
+            if page_token.is_empty() {
+                return Ok(sessions);
+            }
+        }
+    }
+
+    /// Deletes a session with its map.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, or `FAILED_PRECONDITION` while a writer is connected.
+    pub async fn delete_session(&mut self, session_id: &str) -> Result<(), ClientError> {
+        let request = v1::DeleteSessionRequest { session_id: session_id.to_owned() };
+        let answer = self.grpc.delete_session(request).await;
+        self.unpack(answer).map(|_| ())
+    }
+
+    /// Opens a stream of frames into a session and waits until the server has it ready.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, or `FAILED_PRECONDITION` if another writer is connected and is not to be taken over.
+    pub async fn open_stream(&mut self, open: v1::OpenStream) -> Result<FrameStream, ClientError> {
+        let (requests, outgoing) = mpsc::channel(FRAMES_IN_FLIGHT);
+        let opening = v1::StreamFramesRequest { message: Some(Sent::Open(open)) };
+        requests.try_send(opening).expect("a new channel has room");
+        let answer = self.grpc.stream_frames(ReceiverStream::new(outgoing)).await;
+        let mut answers = self.unpack(answer)?;
+        let server = self.server();
+        match next(&mut answers, &server).await? {
+            Some(Received::Opened(v1::StreamOpened { session: Some(session) })) => Ok(FrameStream {
+                session,
+                sender: FrameSender { requests },
+                answers: Answers { answers, server },
+            }),
+            _ => Err(ClientError::protocol("a stream must begin with `opened` and its session")),
+        }
+    }
+
+    /// The address of the server's HTTP interface: on the same host, at the port the server tells in the
+    /// header [`HTTP_PORT_HEADER`] of every answer.
+    ///
+    /// # Errors
+    /// If the server cannot be asked.
+    pub async fn http_address(&mut self) -> Result<String, ClientError> {
+        let answer = self
+            .grpc
+            .list_sessions(v1::ListSessionsRequest { page_size: 1, page_token: String::new() })
+            .await;
+        let headers = match &answer {
+            Ok(response) => response.metadata(),
+            Err(status) => status.metadata(),
+        };
+        let told = headers.get(HTTP_PORT_HEADER).and_then(|value| value.to_str().ok()?.parse().ok());
+        if told.is_none() {
+            self.unpack(answer)?;
+        }
+        let host = self.server.host().unwrap_or("localhost");
+        Ok(format!("http://{host}:{}", told.unwrap_or(DEFAULT_HTTP_PORT)))
+    }
+
+    fn unpack<T>(&self, answer: Result<Response<T>, Status>) -> Result<T, ClientError> {
+        answer.map(Response::into_inner).map_err(|status| ClientError::from_status(&self.server(), &status))
+    }
+}
+
+/// An open stream: frames go in at one end, answers come out at the other, each at its own pace.
+pub struct FrameStream {
+    /// The session as it was when the stream opened.
+    pub session: v1::Session,
+    /// Where frames go in. Dropping it tells the server that there are no more.
+    pub sender: FrameSender,
+    /// Where answers come out.
+    pub answers: Answers,
+}
+
+/// The sending end of a stream.
+pub struct FrameSender {
+    requests: mpsc::Sender<v1::StreamFramesRequest>,
+}
+
+impl FrameSender {
+    /// Sends a frame, waiting while the server holds the client back. `false` if the stream has ended; its
+    /// answers say why.
+    pub async fn send(&self, frame: v1::Frame) -> bool {
+        self.requests.send(v1::StreamFramesRequest { message: Some(Sent::Frame(frame)) }).await.is_ok()
+    }
+}
+
+/// The receiving end of a stream.
+pub struct Answers {
+    answers: Streaming<v1::StreamFramesResponse>,
+    server: String,
+}
+
+impl Answers {
+    /// The next answer; `None` when the server has answered every frame and the stream has ended.
+    ///
+    /// # Errors
+    /// If the connection broke or the server ended the stream.
+    pub async fn next(&mut self) -> Result<Option<Received>, ClientError> {
+        next(&mut self.answers, &self.server).await
+    }
+}
+
+async fn next(
+    answers: &mut Streaming<v1::StreamFramesResponse>,
+    server: &str,
+) -> Result<Option<Received>, ClientError> {
+    match answers.message().await {
+        Ok(None) => Ok(None),
+        Ok(Some(v1::StreamFramesResponse { message: Some(message) })) => Ok(Some(message)),
+        Ok(Some(_)) => Err(ClientError::protocol("an answer is empty")),
+        Err(status) => Err(ClientError::from_status(server, &status)),
+    }
+}
+
+fn parse_address(address: &str) -> Result<Uri, ClientError> {
+    let refuse =
+        |reason: &str| ClientError::Address { address: address.to_owned(), reason: reason.to_owned() };
+    let uri: Uri = address.parse().map_err(|_| refuse("http://HOST:PORT expected"))?;
+    match (uri.scheme_str(), uri.host()) {
+        (Some("http"), Some(_)) => Ok(uri),
+        (Some("https"), _) => Err(refuse("only http is supported")),
+        _ => Err(refuse("http://HOST:PORT expected")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_checked() {
+        assert_eq!(parse_address("http://[::1]:50051").unwrap().host(), Some("[::1]"));
+        for address in ["localhost:50051", "https://h:1", "", "/path", "http://"] {
+            let error = parse_address(address).unwrap_err().to_string();
+            assert!(error.starts_with(&format!("`{address}` is not the address of a server")), "{error}");
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! `monoslam`: streams recordings to a SLAM server, fetches trajectories, and measures them.
+
+mod commands;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use commands::Command;
+
+/// Client of the SLAM service: streams recordings, fetches trajectories, measures them
+#[derive(Debug, Parser)]
+#[command(name = "monoslam", version)]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+fn main() -> ExitCode {
+    let args = Args::parse();
+    let runtime = match tokio::runtime::Runtime::new() {
+        Ok(runtime) => runtime,
+        Err(error) => {
+            eprintln!("monoslam: cannot start the runtime: {error}");
+            return ExitCode::FAILURE;
+        }
+    };
+    let outcome = runtime.block_on(args.command.run());
+    // A server inside that was abandoned must not hold the process up.
+    runtime.shutdown_background();
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("monoslam: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn accepted(line: &str) -> bool {
+        Args::try_parse_from(line.split(' ')).is_ok()
+    }
+
+    #[test]
+    fn the_documented_command_lines_are_accepted() {
+        for line in [
+            "monoslam stream data --server http://h:50051 --session a-b_1 --policy realtime --fps 20 --start 3 --end 9 \
+             --no-lines --no-primitives --no-loops --deterministic --seed 7 --json --layout euroc",
+            "monoslam stream data --server http://h:50051",
+            "monoslam stream data --policy lossless --fps 12.5",
+            "monoslam trajectory a --server http://h:50051 --format tum --kind frames -o out.txt",
+            "monoslam trajectory a --server http://h:50051 --format kitti --kind keyframes",
+            "monoslam evaluate truth.txt estimate.txt --align se3 --max-dt 0.02 --json",
+            "monoslam bench one two --runs 3 --ablation --json -o docs/RESULTS.md",
+            "monoslam demo --keep",
+            "monoslam sessions list --server http://h:50051",
+            "monoslam sessions show a --server http://h:50051",
+            "monoslam sessions delete a --server http://h:50051",
+        ] {
+            assert!(accepted(line), "{line}");
+        }
+    }
+
+    #[test]
+    fn values_that_make_no_sense_are_refused() {
+        for line in [
+            "monoslam",
+            "monoslam stream",
+            "monoslam stream data --policy fast",
+            "monoslam stream data --fps 0",
+            "monoslam stream data --fps nan",
+            "monoslam stream data --layout tartan",
+            "monoslam stream data --session a/b",
+            "monoslam evaluate truth.txt",
+            "monoslam evaluate truth.txt estimate.txt --max-dt -1",
+            "monoslam evaluate truth.txt estimate.txt --align affine",
+            "monoslam trajectory a --format xml",
+            "monoslam bench",
+            "monoslam bench one --runs 0",
+        ] {
+            assert!(!accepted(line), "{line}");
+        }
+    }
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        <Args as clap::CommandFactory>::command().debug_assert();
+    }
+}

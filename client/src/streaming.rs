@@ -1,0 +1,296 @@
+//! Streams frames into a session until every one of them is answered, across broken connections.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use proto::v1;
+use proto::v1::stream_frames_response::Message as Received;
+use tokio::task::JoinHandle;
+
+use crate::error::ClientError;
+use crate::files::FileError;
+use crate::grpc::{Answers, FrameSender, SlamClient};
+use crate::pacing::Pacing;
+use crate::placement::Placement;
+use crate::source::{FrameSource, read_ahead};
+use crate::summary::{FrameAnswer, StreamSummary};
+
+/// Attempts at a connection, without a frame being answered in between, before the stream is given up: with the
+/// waits below, about a minute, long enough for a server to start again and load a session.
+const MAX_ATTEMPTS: u32 = 16;
+
+/// Wait before the first attempt; each further one doubles it.
+const FIRST_BACKOFF: Duration = Duration::from_millis(200);
+
+/// Longest wait between attempts.
+const MAX_BACKOFF: Duration = Duration::from_secs(5);
+
+/// How long the server may take after the last answer to have everything in its database.
+const DURABLE_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// How often it is asked.
+const DURABLE_POLL: Duration = Duration::from_millis(20);
+
+/// What to stream and how.
+#[derive(Clone, Debug)]
+pub struct StreamPlan {
+    /// The session, which exists.
+    pub session_id: String,
+    /// What the server does when frames come faster than it tracks.
+    pub policy: v1::StreamPolicy,
+    /// How fast frames are sent.
+    pub pacing: Pacing,
+    /// The frames of the source to stream.
+    pub range: Range<usize>,
+    /// Their places in the session.
+    pub placement: Placement,
+    /// Whether to end the stream of a present writer instead of being refused.
+    pub take_over: bool,
+}
+
+/// What there is to see while frames are streamed.
+#[derive(Debug)]
+pub enum StreamEvent<'a> {
+    /// A frame was answered.
+    Answered {
+        /// Its place in the source.
+        frame_idx: usize,
+        /// What became of it.
+        answer: &'a FrameAnswer,
+    },
+    /// The connection broke and is tried again after a wait.
+    Reconnecting {
+        /// Why.
+        error: &'a ClientError,
+        /// The wait.
+        after: Duration,
+    },
+}
+
+/// Streams the frames of a plan and waits until the server has them in its database.
+///
+/// When the connection breaks, it is made again; frames from the first that is not answered, or that the server
+/// does not have any more, are sent once more.
+///
+/// # Errors
+/// If the server refuses the stream, stays away, or a frame cannot be read.
+pub async fn stream_frames(
+    client: &mut SlamClient,
+    source: &Arc<dyn FrameSource>,
+    plan: &StreamPlan,
+    mut observe: impl FnMut(StreamEvent<'_>),
+) -> Result<StreamSummary, ClientError> {
+    let started = Instant::now();
+    let mut progress = Progress { next_idx: plan.range.start, answers: vec![None; plan.range.len()] };
+    let mut n_reconnects = 0;
+    let mut n_attempts = 0;
+    while progress.next_idx < plan.range.end {
+        let next_before = progress.next_idx;
+        let take_over = plan.take_over || n_reconnects > 0;
+        let error = match stream_once(client, source, plan, take_over, &mut progress, &mut observe).await {
+            Ok(()) => break,
+            Err(error) => error,
+        };
+        n_attempts = if progress.next_idx > next_before { 1 } else { n_attempts + 1 };
+        if !error.is_passing() || n_attempts > MAX_ATTEMPTS {
+            return Err(error);
+        }
+        let after = backoff(n_attempts);
+        observe(StreamEvent::Reconnecting { error: &error, after });
+        tokio::time::sleep(after).await;
+        n_reconnects += 1;
+    }
+    let elapsed_s = started.elapsed().as_secs_f64();
+    let session = wait_until_durable(client, plan, &progress).await?;
+    let mut summary = StreamSummary::of_answers(&progress.answers);
+    summary.set_session(&session);
+    summary.elapsed_s = elapsed_s;
+    summary.frames_per_second = summary.frames as f64 / elapsed_s.max(1e-9);
+    summary.realtime_factor = duration_s(source.as_ref(), &plan.range) / elapsed_s.max(1e-9);
+    summary.reconnects = n_reconnects;
+    Ok(summary)
+}
+
+/// Which frames are answered.
+struct Progress {
+    /// The first frame without an answer.
+    next_idx: usize,
+    /// The latest answer to each frame of the range.
+    answers: Vec<Option<FrameAnswer>>,
+}
+
+impl Progress {
+    /// Notes an answer; `None` if it is to no frame of the plan.
+    fn note(&mut self, plan: &StreamPlan, received: Received) -> Option<(usize, &FrameAnswer)> {
+        let (sequence, answer) = match received {
+            Received::Result(result) => (result.sequence, FrameAnswer::Result(Box::new(result))),
+            Received::Dropped(dropped) => (dropped.sequence, FrameAnswer::Dropped),
+            Received::Rejected(rejected) => {
+                let reason = format!("{}: {} ({})", rejected.field, rejected.reason, rejected.code);
+                (rejected.sequence, FrameAnswer::Rejected(reason))
+            }
+            Received::Opened(_) => return None,
+        };
+        let frame_idx = plan.placement.frame_idx(sequence);
+        if plan.placement.sequence(frame_idx) != sequence || !plan.range.contains(&frame_idx) {
+            return None;
+        }
+        self.next_idx = self.next_idx.max(frame_idx + 1);
+        let slot = &mut self.answers[frame_idx - plan.range.start];
+        // A repeat says less than the first answer did, so it only stands where that never arrived.
+        let is_repeat = matches!(&answer, FrameAnswer::Result(result) if result.repeated);
+        if slot.is_none() || !is_repeat {
+            *slot = Some(answer);
+        }
+        slot.as_ref().map(|answer| (frame_idx, answer))
+    }
+
+    /// The sequence number of the last frame that the server tracked or tried to.
+    fn last_result(&self, plan: &StreamPlan) -> Option<u64> {
+        let last = self.answers.iter().rposition(|answer| matches!(answer, Some(FrameAnswer::Result(_))))?;
+        Some(plan.placement.sequence(plan.range.start + last))
+    }
+}
+
+/// Streams over one connection, from the first frame that the server or we lack.
+async fn stream_once(
+    client: &mut SlamClient,
+    source: &Arc<dyn FrameSource>,
+    plan: &StreamPlan,
+    take_over: bool,
+    progress: &mut Progress,
+    observe: &mut impl FnMut(StreamEvent<'_>),
+) -> Result<(), ClientError> {
+    let open = v1::OpenStream {
+        session_id: plan.session_id.clone(),
+        mode: v1::StreamMode::MapAndLocalize.into(),
+        policy: plan.policy.into(),
+        take_over,
+    };
+    let stream = client.open_stream(open).await?;
+    let wanted_idx = plan.placement.frame_idx(stream.session.next_sequence);
+    let first_idx = progress.next_idx.min(wanted_idx).max(plan.range.start);
+    progress.next_idx = first_idx;
+    let sending = tokio::spawn(send(stream.sender, source.clone(), first_idx..plan.range.end, plan.clone()));
+    let received = receive(stream.answers, client, plan, progress, observe).await;
+    finish_sending(sending, received.is_err()).await?;
+    received?;
+    if progress.next_idx < plan.range.end {
+        return Err(ClientError::Unreachable {
+            server: client.server(),
+            reason: String::from("the stream ended before every frame was answered"),
+        });
+    }
+    Ok(())
+}
+
+async fn receive(
+    mut answers: Answers,
+    client: &SlamClient,
+    plan: &StreamPlan,
+    progress: &mut Progress,
+    observe: &mut impl FnMut(StreamEvent<'_>),
+) -> Result<(), ClientError> {
+    while let Some(received) = answers.next().await? {
+        let (frame_idx, answer) = progress.note(plan, received).ok_or_else(|| {
+            ClientError::protocol(format!("{} answered a frame that was not sent", client.server()))
+        })?;
+        observe(StreamEvent::Answered { frame_idx, answer });
+    }
+    Ok(())
+}
+
+/// Sends the frames of a range when they are due, until they end or the stream does.
+async fn send(
+    sender: FrameSender,
+    source: Arc<dyn FrameSource>,
+    range: Range<usize>,
+    plan: StreamPlan,
+) -> Result<(), FileError> {
+    let (first_idx, first_ns) = (range.start, source.timestamp_ns(range.start));
+    let mut frames = read_ahead(source, range);
+    let started = tokio::time::Instant::now();
+    while let Some(frame) = frames.recv().await {
+        let frame = frame?;
+        let due = plan.pacing.due(frame.frame_idx - first_idx, frame.timestamp_ns.saturating_sub(first_ns));
+        tokio::time::sleep_until(started + due).await;
+        let sent = v1::Frame {
+            sequence: plan.placement.sequence(frame.frame_idx),
+            timestamp_ns: frame.timestamp_ns.saturating_add(plan.placement.shift_ns),
+            image: Some(frame.image),
+        };
+        if !sender.send(sent).await {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// The sender's error, if it had one. If the stream has ended, it is not waited for: it may be asleep until its
+/// next frame is due.
+async fn finish_sending(sending: JoinHandle<Result<(), FileError>>, ended: bool) -> Result<(), ClientError> {
+    if ended && !sending.is_finished() {
+        sending.abort();
+        return Ok(());
+    }
+    match sending.await {
+        Ok(outcome) => Ok(outcome?),
+        Err(failed) => Err(ClientError::protocol(format!("sending failed: {failed}"))),
+    }
+}
+
+/// Waits until the last tracked frame is in the server's database.
+async fn wait_until_durable(
+    client: &mut SlamClient,
+    plan: &StreamPlan,
+    progress: &Progress,
+) -> Result<v1::Session, ClientError> {
+    let deadline = Instant::now() + DURABLE_TIMEOUT;
+    let wanted = progress.last_result(plan);
+    loop {
+        let session = client.session(&plan.session_id).await?;
+        let session = session.ok_or_else(|| ClientError::protocol("the session is gone"))?;
+        // `None < Some(_)`: nothing wanted is there at once, nothing durable is not.
+        if session.durable_sequence >= wanted {
+            return Ok(session);
+        }
+        if Instant::now() > deadline {
+            let reached = session.durable_sequence.map_or_else(|| "none".to_owned(), |n| n.to_string());
+            return Err(ClientError::protocol(format!(
+                "frame {} is not in the database after {} s; the last that is: {reached}",
+                wanted.unwrap_or_default(),
+                DURABLE_TIMEOUT.as_secs(),
+            )));
+        }
+        tokio::time::sleep(DURABLE_POLL).await;
+    }
+}
+
+fn backoff(n_attempts: u32) -> Duration {
+    FIRST_BACKOFF.saturating_mul(2u32.saturating_pow(n_attempts.saturating_sub(1))).min(MAX_BACKOFF)
+}
+
+/// Time from the first frame of a range to the end of its last, seconds.
+fn duration_s(source: &dyn FrameSource, range: &Range<usize>) -> f64 {
+    let n = range.len();
+    if n < 2 {
+        return 0.0;
+    }
+    let between_ns = source.timestamp_ns(range.end - 1) - source.timestamp_ns(range.start);
+    between_ns as f64 * 1e-9 * n as f64 / (n - 1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn waits_double_up_to_a_limit() {
+        let waits: Vec<u128> = (1..=7).map(|n| backoff(n).as_millis()).collect();
+        assert_eq!(waits, [200, 400, 800, 1600, 3200, 5000, 5000]);
+        assert_eq!(backoff(u32::MAX), MAX_BACKOFF);
+        let total: Duration = (1..=MAX_ATTEMPTS).map(backoff).sum();
+        assert!((50..90).contains(&total.as_secs()), "{total:?}");
+    }
+}

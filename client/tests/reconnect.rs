@@ -1,0 +1,303 @@
+//! Streaming against a server that misbehaves: breaks connections, forgets frames, drops and rejects them.
+
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex};
+
+use client::{
+    ClientError, FileError, FrameSource, Pacing, Placement, SlamClient, StreamEvent, StreamPlan,
+    StreamSummary, stream_frames,
+};
+use proto::v1::slam_service_server::{SlamService, SlamServiceServer};
+use proto::v1::stream_frames_request::Message as Sent;
+use proto::v1::stream_frames_response::Message as Received;
+use proto::v1::{self, TrackingState};
+use tokio::net::TcpListener;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
+use tonic::{Request, Response, Status, Streaming};
+
+const N_FRAMES: usize = 40;
+
+/// Frames a millisecond apart.
+struct Frames;
+
+impl FrameSource for Frames {
+    fn len(&self) -> usize {
+        N_FRAMES
+    }
+
+    fn timestamp_ns(&self, frame_idx: usize) -> i64 {
+        1_000_000 * (frame_idx as i64 + 1)
+    }
+
+    fn image(&self, frame_idx: usize) -> Result<v1::Image, FileError> {
+        Ok(v1::Image { data: vec![frame_idx as u8].into(), ..Default::default() })
+    }
+}
+
+/// What the server does wrong.
+#[derive(Clone, Default)]
+struct Faults {
+    /// Breaks the stream when it has taken this many frames, each once.
+    break_after: Vec<usize>,
+    /// Frames forgotten when the stream breaks, as by a crash before they were saved.
+    n_forgotten: u64,
+    /// Refuses every stream as if the session were broken.
+    refuse: bool,
+    /// Sequence numbers that are dropped and rejected.
+    dropped: Option<u64>,
+    rejected: Option<u64>,
+}
+
+/// A session that tracks by counting.
+#[derive(Default)]
+struct State {
+    faults: Faults,
+    /// Sequence number, time and image of each frame that the session has.
+    frames: Vec<(u64, i64, u8)>,
+    n_taken: usize,
+    take_overs: Vec<bool>,
+}
+
+impl State {
+    fn session(&self) -> v1::Session {
+        let last = self.frames.last().map(|frame| frame.0);
+        v1::Session {
+            id: "s".into(),
+            next_sequence: last.map_or(0, |last| last + 1),
+            durable_sequence: last,
+            n_keyframes: 3,
+            ..Default::default()
+        }
+    }
+
+    fn answer(&mut self, frame: &v1::Frame) -> Received {
+        let sequence = frame.sequence;
+        if self.faults.dropped == Some(sequence) {
+            return Received::Dropped(v1::FrameDropped { sequence, reason: "busy".into() });
+        }
+        if self.faults.rejected == Some(sequence) {
+            let (field, reason, code) = ("image".into(), "is broken".into(), "UNDECODABLE".into());
+            return Received::Rejected(v1::FrameRejected { sequence, field, reason, code });
+        }
+        let repeated = self.frames.last().is_some_and(|last| last.0 >= sequence);
+        if !repeated {
+            let image = frame.image.as_ref().map_or(0, |image| image.data[0]);
+            self.frames.push((sequence, frame.timestamp_ns, image));
+        }
+        Received::Result(v1::FrameResult {
+            sequence,
+            timestamp_ns: frame.timestamp_ns,
+            state: if repeated { TrackingState::Unspecified } else { TrackingState::Tracked }.into(),
+            pose_world_from_camera: (!repeated).then(v1::Pose::default),
+            repeated,
+            ..Default::default()
+        })
+    }
+
+    /// Whether the stream breaks now; frames not saved are then gone.
+    fn breaks(&mut self) -> bool {
+        self.n_taken += 1;
+        let n_taken = self.n_taken;
+        let before = self.faults.break_after.len();
+        self.faults.break_after.retain(|n| *n != n_taken);
+        let breaks = self.faults.break_after.len() < before;
+        if breaks {
+            let n_kept = self.frames.len().saturating_sub(self.faults.n_forgotten as usize);
+            self.frames.truncate(n_kept);
+        }
+        breaks
+    }
+}
+
+#[derive(Clone)]
+struct Server(Arc<Mutex<State>>);
+
+#[tonic::async_trait]
+impl SlamService for Server {
+    type StreamFramesStream = ReceiverStream<Result<v1::StreamFramesResponse, Status>>;
+
+    async fn create_session(
+        &self,
+        _: Request<v1::CreateSessionRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    async fn get_session(&self, _: Request<v1::GetSessionRequest>) -> Result<Response<v1::Session>, Status> {
+        Ok(Response::new(self.0.lock().unwrap().session()))
+    }
+
+    async fn list_sessions(
+        &self,
+        _: Request<v1::ListSessionsRequest>,
+    ) -> Result<Response<v1::ListSessionsResponse>, Status> {
+        let mut response = Response::new(v1::ListSessionsResponse::default());
+        response.metadata_mut().insert(client::HTTP_PORT_HEADER, "4321".parse().unwrap());
+        Ok(response)
+    }
+
+    async fn delete_session(
+        &self,
+        _: Request<v1::DeleteSessionRequest>,
+    ) -> Result<Response<v1::DeleteSessionResponse>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    async fn stream_frames(
+        &self,
+        request: Request<Streaming<v1::StreamFramesRequest>>,
+    ) -> Result<Response<Self::StreamFramesStream>, Status> {
+        let mut requests = request.into_inner();
+        let state = self.0.clone();
+        if state.lock().unwrap().faults.refuse {
+            return Err(Status::failed_precondition("another client streams into the session"));
+        }
+        let (answers, receiver) = mpsc::channel(4);
+        tokio::spawn(async move {
+            while let Ok(Some(request)) = requests.message().await {
+                let (message, breaks) = {
+                    let mut state = state.lock().unwrap();
+                    match request.message.unwrap() {
+                        Sent::Open(open) => {
+                            state.take_overs.push(open.take_over);
+                            (Received::Opened(v1::StreamOpened { session: Some(state.session()) }), false)
+                        }
+                        Sent::Frame(frame) => (state.answer(&frame), state.breaks()),
+                    }
+                };
+                if breaks {
+                    let _ = answers.send(Err(Status::unavailable("the connection broke"))).await;
+                    return;
+                }
+                if answers.send(Ok(v1::StreamFramesResponse { message: Some(message) })).await.is_err() {
+                    return;
+                }
+            }
+        });
+        Ok(Response::new(ReceiverStream::new(receiver)))
+    }
+}
+
+async fn serve(faults: Faults) -> (SocketAddr, Server) {
+    let server = Server(Arc::new(Mutex::new(State { faults, ..Default::default() })));
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let service = SlamServiceServer::new(server.clone());
+    let serving = tonic::transport::Server::builder()
+        .add_service(service)
+        .serve_with_incoming(TcpListenerStream::new(listener));
+    tokio::spawn(serving);
+    (address, server)
+}
+
+fn plan(placement: Placement) -> StreamPlan {
+    StreamPlan {
+        session_id: "s".into(),
+        policy: v1::StreamPolicy::Lossless,
+        pacing: Pacing::Unpaced,
+        range: 0..N_FRAMES,
+        placement,
+        take_over: false,
+    }
+}
+
+async fn streamed(faults: Faults, placement: Placement) -> (Result<StreamSummary, ClientError>, Server) {
+    let (address, server) = serve(faults).await;
+    let mut client = SlamClient::connect(&format!("http://{address}")).await.unwrap();
+    let source: Arc<dyn FrameSource> = Arc::new(Frames);
+    let outcome = stream_frames(&mut client, &source, &plan(placement), |_| {}).await;
+    (outcome, server)
+}
+
+/// What the session must hold at the end, whatever happened in between.
+fn assert_every_frame_is_there_once(server: &Server, placement: Placement) {
+    let frames = server.0.lock().unwrap().frames.clone();
+    let expected: Vec<(u64, i64, u8)> = (0..N_FRAMES)
+        .map(|i| (placement.sequence(i), Frames.timestamp_ns(i) + placement.shift_ns, i as u8))
+        .collect();
+    assert_eq!(frames, expected);
+}
+
+#[tokio::test]
+async fn a_stream_without_faults_is_answered_frame_by_frame() {
+    let placement = Placement { first_idx: 0, first_sequence: 7, shift_ns: 5_000_000_000 };
+    let (outcome, server) = streamed(Faults::default(), placement).await;
+    let summary = outcome.unwrap();
+    assert_eq!((summary.frames, summary.tracked, summary.reconnects), (N_FRAMES, N_FRAMES, 0));
+    assert_eq!((summary.session.as_str(), summary.keyframes, summary.coverage), ("s", 3, 1.0));
+    assert_every_frame_is_there_once(&server, placement);
+}
+
+#[tokio::test]
+async fn a_broken_stream_goes_on_where_the_server_says() {
+    let faults = Faults { break_after: vec![5, 20], ..Default::default() };
+    let (outcome, server) = streamed(faults, Placement::AS_RECORDED).await;
+    let summary = outcome.unwrap();
+    assert_eq!(summary.reconnects, 2);
+    // The answers to the frames at which the stream broke were lost; the frames are sent again and known.
+    assert_eq!((summary.tracked, summary.repeated), (N_FRAMES - 2, 2));
+    assert_every_frame_is_there_once(&server, Placement::AS_RECORDED);
+    assert_eq!(server.0.lock().unwrap().take_overs, [false, true, true]);
+}
+
+#[tokio::test]
+async fn frames_that_a_crash_lost_are_sent_again() {
+    let faults = Faults { break_after: vec![17], n_forgotten: 6, ..Default::default() };
+    let (outcome, server) = streamed(faults, Placement::AS_RECORDED).await;
+    let summary = outcome.unwrap();
+    assert_eq!((summary.tracked, summary.repeated, summary.reconnects), (N_FRAMES, 0, 1));
+    assert_every_frame_is_there_once(&server, Placement::AS_RECORDED);
+}
+
+#[tokio::test]
+async fn a_refusal_is_not_tried_again() {
+    let (outcome, _) = streamed(Faults { refuse: true, ..Default::default() }, Placement::AS_RECORDED).await;
+    assert_eq!(outcome.unwrap_err().to_string(), "another client streams into the session");
+}
+
+#[tokio::test]
+async fn dropped_and_rejected_frames_are_counted_and_do_not_end_the_stream() {
+    let (address, _) =
+        serve(Faults { dropped: Some(3), rejected: Some(N_FRAMES as u64 - 1), ..Default::default() }).await;
+    let mut client = SlamClient::connect(&format!("http://{address}")).await.unwrap();
+    let source: Arc<dyn FrameSource> = Arc::new(Frames);
+    let mut n_answers = 0;
+    let count =
+        |event: StreamEvent<'_>| n_answers += usize::from(matches!(event, StreamEvent::Answered { .. }));
+    let summary = stream_frames(&mut client, &source, &plan(Placement::AS_RECORDED), count).await.unwrap();
+    assert_eq!((summary.dropped, summary.rejected, summary.tracked), (1, 1, N_FRAMES - 2));
+    assert_eq!(n_answers, N_FRAMES);
+}
+
+#[tokio::test]
+async fn the_http_port_is_learnt_by_grpc() {
+    let (address, _) = serve(Faults::default()).await;
+    let mut client = SlamClient::connect(&format!("http://{address}")).await.unwrap();
+    assert_eq!(client.http_address().await.unwrap(), "http://127.0.0.1:4321");
+}
+
+#[tokio::test]
+async fn nobody_there_is_an_error_that_says_so() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    drop(listener);
+    let error = SlamClient::connect(&format!("http://{address}")).await.unwrap_err();
+    assert!(error.is_passing());
+    assert!(
+        error.to_string().starts_with(&format!("the server at http://{address} cannot be reached")),
+        "{error}"
+    );
+}
+
+#[tokio::test]
+async fn frames_are_paced() {
+    let (address, _) = serve(Faults::default()).await;
+    let mut client = SlamClient::connect(&format!("http://{address}")).await.unwrap();
+    let source: Arc<dyn FrameSource> = Arc::new(Frames);
+    let plan =
+        StreamPlan { pacing: Pacing::FramesPerSecond(100.0), range: 0..20, ..plan(Placement::AS_RECORDED) };
+    let summary = stream_frames(&mut client, &source, &plan, |_| {}).await.unwrap();
+    // Nineteen intervals of 10 ms; how much longer it takes depends on the machine.
+    assert!(summary.elapsed_s >= 0.19, "{}", summary.elapsed_s);
+}
