@@ -41,7 +41,7 @@ impl Server {
         let service = Arc::new(Service::new(Arc::new(config), store.clone()).await?);
 
         let closing = CancellationToken::new();
-        let grpc = grpc::serve(service.clone(), grpc_listener, closing.clone());
+        let grpc = grpc::serve(service.clone(), grpc_listener, http_addr.port(), closing.clone());
         let http = rest::serve(rest::App::new(service.clone()), http_listener, closing.clone());
         let tasks = vec![("gRPC", tokio::spawn(grpc)), ("HTTP", tokio::spawn(http))];
         tracing::info!(%grpc_addr, %http_addr, "serving gRPC on {grpc_addr} and HTTP on {http_addr}");

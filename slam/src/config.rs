@@ -88,7 +88,7 @@ pub struct InitialisationConfig {
     /// Largest standard deviation of the direction of motion, degrees. Default 1.0: turning and moving sideways look
     /// alike over a short baseline, and a map begun on a wrong mixture of the two bends.
     pub max_direction_sigma_deg: f64,
-    /// Views after which twice that is accepted, and in between and beyond in proportion. Default 60: two seconds.
+    /// Views after which twice that is accepted, and in between and beyond in proportion. Default 90: three seconds.
     pub patience_views: usize,
     /// Share of the map's points a view between the two must confirm. Default 0.6.
     pub min_third_view_share: f64,
@@ -111,7 +111,7 @@ impl Default for InitialisationConfig {
             min_runner_up_cost_ratio: 1.3,
             min_parallax_deg: 1.0,
             max_direction_sigma_deg: 1.0,
-            patience_views: 60,
+            patience_views: 90,
             min_third_view_share: 0.6,
         }
     }

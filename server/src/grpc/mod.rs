@@ -12,17 +12,23 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
+use tonic::codegen::http::{HeaderName, HeaderValue};
 use tonic::service::Routes;
 use tonic::transport::server::TcpIncoming;
 use tonic::{Request, Response, Status};
+use tower_http::set_header::SetResponseHeaderLayer;
 
 /// A client that does not answer a ping for this long is gone, so that a phone that lost its network frees its session.
 const KEEPALIVE: (Duration, Duration) = (Duration::from_secs(15), Duration::from_secs(15));
+
+/// Every answer says on which port the same host serves HTTP, so that a client needs to know one address only.
+const HTTP_PORT_HEADER: HeaderName = HeaderName::from_static("x-monoslam-http-port");
 
 /// Serves gRPC until `closing`, then lets what is under way end.
 pub(crate) async fn serve(
     service: Arc<Service>,
     listener: TcpListener,
+    http_port: u16,
     closing: CancellationToken,
 ) -> anyhow::Result<()> {
     let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
@@ -39,6 +45,7 @@ pub(crate) async fn serve(
     tonic::transport::Server::builder()
         .http2_keepalive_interval(Some(KEEPALIVE.0))
         .http2_keepalive_timeout(Some(KEEPALIVE.1))
+        .layer(SetResponseHeaderLayer::overriding(HTTP_PORT_HEADER, HeaderValue::from(http_port)))
         .add_routes(routes(service)?.add_service(health))
         .serve_with_incoming_shutdown(incoming, closing.cancelled_owned())
         .await?;

@@ -2,6 +2,7 @@
 //! view that agrees.
 
 mod matching;
+mod motion;
 mod third_view;
 mod two_view;
 

@@ -1,6 +1,6 @@
 //! The motion between two views from their matches alone, whether the scene is planar or not.
 
-use crate::bundle;
+use super::motion::{self, RelativeMotion};
 use crate::bundle::factors::PointReprojectionFactor;
 use crate::config::InitialisationConfig;
 use crate::features::FrameFeatures;
@@ -20,15 +20,15 @@ const PARALLEL_COSINE: f64 = 0.999_98;
 
 /// One match in the coordinates the solvers want.
 #[derive(Clone, Copy, Debug)]
-struct Correspondence {
+pub(super) struct Correspondence {
     /// Normalised image coordinates, (pixel - centre) / focal length.
-    first: Vector2<f64>,
-    second: Vector2<f64>,
+    pub first: Vector2<f64>,
+    pub second: Vector2<f64>,
     first_bearing: Vector3<f64>,
     second_bearing: Vector3<f64>,
     /// Variances of the positions, normalised coordinates squared.
-    first_variance: f64,
-    second_variance: f64,
+    pub first_variance: f64,
+    pub second_variance: f64,
 }
 
 /// A motion with the points it gives.
@@ -42,8 +42,7 @@ pub(super) struct TwoViewMotion {
 
 /// Finds the motion, or says why there is none.
 ///
-/// Both models give candidates; those that many matches agree with are refined, and the one with the least cost over
-/// all matches wins. A planar scene has two motions that explain it nearly equally well over a short baseline: then
+/// Both models give starts of a search for the minima of the cost over all matches, and the least minimum wins. A planar scene has two motions that explain it nearly equally well over a short baseline: then
 /// the pair is ambiguous.
 pub(super) fn solve(
     first: &FrameFeatures,
@@ -56,17 +55,10 @@ pub(super) fn solve(
         matches.iter().map(|(a, b)| Correspondence::new(first, *a, second, *b)).collect();
     let n_matches = correspondences.len();
     let candidates = promising(candidate_motions(&correspondences, config, rng), &correspondences);
-    let mut refined: Vec<(f64, TwoViewMotion)> = candidates
-        .iter()
-        .map(|candidate| {
-            let motion = refine(candidate, first, second, matches);
-            let essential = so3::skew(&motion.translation) * motion.rotation_matrix();
-            let cost = correspondences
-                .iter()
-                .map(|c| c.squared_sampson(&essential).min(MAX_REPROJECTION_CHI2))
-                .sum();
-            (cost, judge(&motion, &correspondences))
-        })
+    let starts: Vec<RelativeMotion> = candidates.iter().map(RelativeMotion::of).collect();
+    let mut refined: Vec<(f64, TwoViewMotion)> = distinct_minima(&starts, &correspondences)
+        .into_iter()
+        .map(|(cost, motion)| (cost, judge_both_ways(motion, &correspondences)))
         .collect();
     refined.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut refined = refined.into_iter();
@@ -91,51 +83,67 @@ pub(super) fn solve(
     Ok(best)
 }
 
-/// Candidates that explain at least this share of the matches that the best one explains are refined.
+/// Candidates that explain at least this share of the matches that the best one explains are starts of the search.
 const PROMISING_SHARE: f64 = 0.5;
-/// Candidates refined at most.
+/// Starts of the search at most.
 const MAX_PROMISING: usize = 4;
-/// Points that take part in refining a candidate, evenly picked: enough to tell candidates apart.
-const N_REFINING_POINTS: usize = 200;
+/// Minima looked at at most, best first.
+const MAX_MINIMA: usize = 3;
 /// Two motions are different hypotheses when they turn or head differently by more than this, radians.
 const DISTINCT_ANGLE: f64 = 0.1;
 
 /// The distinct candidates that many matches agree with, best first.
-fn promising(motions: Vec<Pose>, correspondences: &[Correspondence]) -> Vec<TwoViewMotion> {
+fn promising(motions: Vec<Pose>, correspondences: &[Correspondence]) -> Vec<Pose> {
     let mut judged: Vec<TwoViewMotion> =
         motions.iter().map(|motion| judge(motion, correspondences)).collect();
     judged.sort_by_key(|motion| std::cmp::Reverse(motion.points.len()));
     let min_points = judged.first().map_or(0.0, |best| PROMISING_SHARE * best.points.len() as f64);
-    let mut chosen: Vec<TwoViewMotion> = Vec::new();
+    let mut chosen: Vec<Pose> = Vec::new();
     for motion in judged.into_iter().filter(|motion| motion.points.len() as f64 >= min_points) {
-        let is_new = chosen.iter().all(|other| differs(&motion.second_from_first, &other.second_from_first));
+        let is_new = chosen.iter().all(|other| differs(&motion.second_from_first, other));
         if is_new && chosen.len() < MAX_PROMISING {
-            chosen.push(motion);
+            chosen.push(motion.second_from_first);
         }
     }
     chosen
 }
 
+/// The best minima with their costs over all matches, best first.
+fn distinct_minima(
+    starts: &[RelativeMotion],
+    correspondences: &[Correspondence],
+) -> Vec<(f64, RelativeMotion)> {
+    let cost = |motion: &RelativeMotion| -> f64 {
+        let pose = motion.to_pose(1.0);
+        let essential = so3::skew(&pose.translation) * pose.rotation_matrix();
+        correspondences.iter().map(|c| c.squared_sampson(&essential).min(MAX_REPROJECTION_CHI2)).sum()
+    };
+    let mut found: Vec<(f64, RelativeMotion)> =
+        motion::minima(starts, correspondences).into_iter().map(|motion| (cost(&motion), motion)).collect();
+    found.retain(|(cost, motion)| cost.is_finite() && motion.to_pose(1.0).is_finite());
+    found.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut distinct: Vec<(f64, RelativeMotion)> = Vec::new();
+    for (cost, motion) in found {
+        let same = |other: &RelativeMotion| {
+            [1.0, -1.0].iter().any(|sign| !differs(&motion.to_pose(*sign), &other.to_pose(1.0)))
+        };
+        if distinct.len() < MAX_MINIMA && !distinct.iter().any(|(_, other)| same(other)) {
+            distinct.push((cost, motion));
+        }
+    }
+    distinct
+}
+
+/// The epipolar constraint does not tell forwards from backwards; that the points lie in front does.
+fn judge_both_ways(motion: RelativeMotion, correspondences: &[Correspondence]) -> TwoViewMotion {
+    let forwards = judge(&motion.to_pose(1.0), correspondences);
+    let backwards = judge(&motion.to_pose(-1.0), correspondences);
+    if backwards.points.len() > forwards.points.len() { backwards } else { forwards }
+}
+
 fn differs(a: &Pose, b: &Pose) -> bool {
     so3::angle_between(&a.rotation, &b.rotation) > DISTINCT_ANGLE
         || a.translation.angle(&b.translation) > DISTINCT_ANGLE
-}
-
-/// The motion after bundle adjustment of some of its points.
-fn refine(
-    motion: &TwoViewMotion,
-    first: &FrameFeatures,
-    second: &FrameFeatures,
-    matches: &[(usize, usize)],
-) -> Pose {
-    let step = motion.points.len().div_ceil(N_REFINING_POINTS).max(1);
-    let problem: Vec<_> = motion
-        .points
-        .iter()
-        .step_by(step)
-        .map(|(match_idx, position)| (*position, factors(first, second, matches[*match_idx])))
-        .collect();
-    unit_baseline(bundle::two_view::refine(motion.second_from_first, &problem).second_from_first)
 }
 
 /// The factors of a match in the two views.
@@ -211,6 +219,19 @@ fn judge(second_from_first: &Pose, correspondences: &[Correspondence]) -> TwoVie
 }
 
 impl Correspondence {
+    /// A match of normalised coordinates, for tests.
+    #[cfg(test)]
+    pub fn of_normalised(first: Vector2<f64>, second: Vector2<f64>, variance: f64) -> Self {
+        Self {
+            first,
+            second,
+            first_bearing: first.push(1.0).normalize(),
+            second_bearing: second.push(1.0).normalize(),
+            first_variance: variance,
+            second_variance: variance,
+        }
+    }
+
     fn new(first: &FrameFeatures, first_idx: usize, second: &FrameFeatures, second_idx: usize) -> Self {
         let variance = |features: &FrameFeatures, idx: usize| {
             let sigma = features.sigma_px(idx) / features.pinhole.mean_focal_px();
