@@ -58,7 +58,7 @@ impl Refiner {
         let (trace, determinant) = (xx + yy, xx * yy - xy * xy);
         // For eigenvalues a >= b: determinant / trace² = (b/a) / (1 + b/a)².
         let ratio = MIN_EIGENVALUE_RATIO / ((1.0 + MIN_EIGENVALUE_RATIO) * (1.0 + MIN_EIGENVALUE_RATIO));
-        if !(determinant > ratio * trace * trace) {
+        if determinant <= ratio * trace * trace {
             return (0.0, 0.0);
         }
         let (dx, dy) = ((yy * bx - xy * by) / determinant, (xx * by - xy * bx) / determinant);
