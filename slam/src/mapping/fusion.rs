@@ -3,7 +3,7 @@
 use super::neighbours;
 use crate::config::SlamConfig;
 use crate::map::{KeyframeId, Map, Observation, PointId};
-use crate::tracking::search::{PredictedView, find_in_window};
+use crate::tracking::search::{PredictedView, Window, find_in_window};
 use optim::chi2_95;
 use std::collections::BTreeSet;
 use vision::matching::STRICT_DISTANCE;
@@ -92,22 +92,17 @@ fn find_in_keyframe(
     let view =
         PredictedView::of(point, &keyframe.camera_from_world, &centre, &keyframe.features, min_view_cosine)?;
     let features = &keyframe.features;
-    let radius = radius_px * features.pyramid.scale(view.octave);
     // Keypoints that disagree with the projection are passed over, so that a neighbour of the right one cannot win.
     let disagrees = |idx: usize| {
         let sigma = features.sigma_px(idx);
         (features.undistorted[idx] - view.pixel).norm_squared() > chi2_95(2) * sigma * sigma
     };
-    let octaves = view.octaves();
-    let found = find_in_window(
-        features,
-        &point.descriptor,
-        &view.pixel,
-        radius,
-        octaves,
-        None,
-        STRICT_DISTANCE,
-        disagrees,
-    )?;
-    Some(found.feature_idx)
+    let window = Window {
+        pixel: view.pixel,
+        radius_px: radius_px * features.pyramid.scale(view.octave),
+        octaves: view.octaves(),
+        ratio: None,
+        max_distance: STRICT_DISTANCE,
+    };
+    find_in_window(features, &point.descriptor, &window, disagrees)
 }

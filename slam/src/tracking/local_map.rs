@@ -1,7 +1,7 @@
 //! The part of the map a frame can see: key frames that share its points, their neighbours, and what those see.
 
 use super::frame::TrackedFrame;
-use super::search::{PredictedView, find_in_window};
+use super::search::{PredictedView, Window, find_in_window};
 use crate::config::TrackingConfig;
 use crate::map::{KeyframeId, Map, PointId, PointLandmark};
 use std::collections::BTreeMap;
@@ -120,19 +120,17 @@ impl LocalMap {
                 PredictedView::of(point, &frame.camera_from_world, &centre, &features, min_view_cosine);
             let Some(view) = view else { continue };
             sightings.visible(*id);
-            let radius = view.radius_px(radius_px, &features);
-            let found = find_in_window(
-                &features,
-                &point.descriptor,
-                &view.pixel,
-                radius,
-                view.octaves(),
-                Some(config.match_ratio),
-                LOOSE_DISTANCE,
-                |idx| frame.points[idx].is_some(),
-            );
-            if let Some(found) = found {
-                frame.points[found.feature_idx] = Some(*id);
+            let window = Window {
+                pixel: view.pixel,
+                radius_px: view.radius_px(radius_px, &features),
+                octaves: view.octaves(),
+                ratio: Some(config.match_ratio),
+                max_distance: LOOSE_DISTANCE,
+            };
+            let found =
+                find_in_window(&features, &point.descriptor, &window, |idx| frame.points[idx].is_some());
+            if let Some(feature_idx) = found {
+                frame.points[feature_idx] = Some(*id);
                 n_found += 1;
             }
         }

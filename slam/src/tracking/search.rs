@@ -67,26 +67,30 @@ impl PredictedView {
     }
 }
 
-/// The keypoint that looks most like a descriptor, among those in a window.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Found {
-    pub feature_idx: usize,
+/// Where to look for a keypoint, and how alike it must look.
+#[derive(Clone, Debug)]
+pub(crate) struct Window {
+    /// Centre of a square, undistorted pixels.
+    pub pixel: Vector2<f64>,
+    /// Half its side, pixels.
+    pub radius_px: f64,
+    pub octaves: RangeInclusive<u8>,
+    /// Best match's distance as a share of the second best's of the same level, if that matters.
+    pub ratio: Option<f32>,
+    /// Largest distance of the descriptors, bits.
+    pub max_distance: u32,
 }
 
-/// Looks for a descriptor in a window. Keypoints for which `taken` holds are passed over. With a ratio, a match is
-/// refused when another keypoint of the same level is nearly as similar.
+/// The keypoint in a window that looks most like a descriptor. Keypoints for which `taken` holds are passed over.
 pub(crate) fn find_in_window(
     features: &FrameFeatures,
     descriptor: &Descriptor,
-    pixel: &Vector2<f64>,
-    radius_px: f64,
-    octaves: RangeInclusive<u8>,
-    ratio: Option<f32>,
-    max_distance: u32,
+    window: &Window,
     taken: impl Fn(usize) -> bool,
-) -> Option<Found> {
+) -> Option<usize> {
     let (mut best, mut second) = ((u32::MAX, usize::MAX), (u32::MAX, usize::MAX));
-    features.grid.for_each_in_window(pixel.x as f32, pixel.y as f32, radius_px as f32, octaves, |idx| {
+    let (x, y, radius) = (window.pixel.x as f32, window.pixel.y as f32, window.radius_px as f32);
+    features.grid.for_each_in_window(x, y, radius, window.octaves.clone(), |idx| {
         let idx = idx as usize;
         if taken(idx) {
             return;
@@ -99,16 +103,16 @@ pub(crate) fn find_in_window(
             second = (distance, idx);
         }
     });
-    if best.0 > max_distance {
+    if best.0 > window.max_distance {
         return None;
     }
-    if let Some(ratio) = ratio.filter(|_| second.1 != usize::MAX) {
+    if let Some(ratio) = window.ratio.filter(|_| second.1 != usize::MAX) {
         let same_level = features.keypoints[best.1].octave == features.keypoints[second.1].octave;
         if same_level && best.0 as f32 > ratio * second.0 as f32 {
             return None;
         }
     }
-    Some(Found { feature_idx: best.1 })
+    Some(best.1)
 }
 
 /// A point with its place in the view it was matched in before.
@@ -139,13 +143,15 @@ pub(crate) fn search_by_motion<'a>(
         if !features.contains(&pixel) {
             continue;
         }
-        let radius = radius_px * features.pyramid.scale(octave);
-        let octaves = octave.saturating_sub(1)..=octave + 1;
-        let matched =
-            find_in_window(features, descriptor, &pixel, radius, octaves, None, LOOSE_DISTANCE, |idx| {
-                points[idx].is_some()
-            });
-        if let Some(Found { feature_idx }) = matched {
+        let window = Window {
+            pixel,
+            radius_px: radius_px * features.pyramid.scale(octave),
+            octaves: octave.saturating_sub(1)..=octave + 1,
+            ratio: None,
+            max_distance: LOOSE_DISTANCE,
+        };
+        if let Some(feature_idx) = find_in_window(features, descriptor, &window, |idx| points[idx].is_some())
+        {
             points[feature_idx] = Some(point.id);
             let change = features.keypoints[feature_idx].angle - angle;
             rotation.add(change);
