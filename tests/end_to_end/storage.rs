@@ -1,10 +1,12 @@
 //! Databases that cannot be written, or not by this version.
 
 use proto::v1;
+use proto::v1::stream_frames_request::Message as Request;
+use proto::v1::stream_frames_response::Message as Response;
 use server::{Config, Server};
 use sqlx::{Connection, SqliteConnection};
 use tests::{FrameStream, TestServer, camera, create_session, open_message};
-use tonic::Code;
+use tonic::{Code, Status};
 
 #[tokio::test]
 async fn a_database_of_a_newer_version_is_refused_and_left_alone() {
@@ -26,60 +28,72 @@ async fn a_database_of_a_newer_version_is_refused_and_left_alone() {
     assert_eq!(std::fs::read(&file).unwrap(), before, "the database was touched");
 }
 
+/// Frames sent over one stream.
+const N_PER_STREAM: u64 = 500;
+
+/// Sends frames from `first` on and reads their answers; what was promised to be saved and how the stream ended.
+async fn stream_frames(
+    mut stream: FrameStream,
+    first: u64,
+    image: &v1::Image,
+) -> (Option<u64>, Result<(), Status>) {
+    let (sender, image) = (stream.sender(), image.clone());
+    let sending = tokio::spawn(async move {
+        for sequence in first..first + N_PER_STREAM {
+            let message = Some(Request::Frame(tests::frame(sequence, image.clone())));
+            if sender.send(v1::StreamFramesRequest { message }).await.is_err() {
+                break;
+            }
+        }
+    });
+    let mut promised = stream.opened.durable_sequence;
+    for _ in 0..N_PER_STREAM {
+        match stream.next().await {
+            Ok(Some(Response::Result(result))) => promised = promised.max(result.durable_sequence),
+            Ok(other) => panic!("unexpected answer {other:?}"),
+            Err(status) => return (promised, Err(status)),
+        }
+    }
+    sending.await.unwrap();
+    match stream.finish().await {
+        // The end of the stream promises that everything is saved.
+        Ok(_) => (Some(first + N_PER_STREAM - 1), Ok(())),
+        Err(status) => (promised, Err(status)),
+    }
+}
+
 #[tokio::test]
 async fn a_full_disk_ends_the_stream_with_a_clear_error_and_loses_nothing_that_was_promised() {
-    // Room for the session's row and a few frames, but not for a thousand.
-    let server = TestServer::start_with(|config| config.limits.max_database_bytes = Some(300 << 10)).await;
+    // Room for the empty database, and a little more.
+    let (_, folder) = TestServer::start().await.shut_down().await;
+    let empty_bytes = std::fs::metadata(folder.path().join(server::DATABASE_FILE)).unwrap().len();
+    let server =
+        TestServer::start_with(|config| config.limits.max_database_bytes = Some(empty_bytes + (64 << 10)))
+            .await;
     let mut client = server.client().await;
-    create_session(&mut client, "s", camera(320, 240)).await.unwrap();
-    let image = tests::raw_gray(320, 240, &[100; 320 * 240]);
-    let mut next_sequence = 0;
-    let mut promised = None;
+    create_session(&mut client, "s", camera(160, 120)).await.unwrap();
+    create_session(&mut client, "other", camera(160, 120)).await.unwrap();
+    let image = tests::raw_gray(160, 120, &[100; 160 * 120]);
+
+    let (mut first, mut promised) = (0, None);
     let status = loop {
-        assert!(next_sequence < 20_000, "the disk never fills up");
-        let mut stream = match FrameStream::open(&mut client, open_message("s")).await {
-            Ok(stream) => stream,
+        assert!(first < 20_000, "the disk never fills up");
+        let stream = FrameStream::open(&mut client, open_message("s")).await.unwrap();
+        let (now_promised, outcome) = stream_frames(stream, first, &image).await;
+        promised = promised.max(now_promised);
+        match outcome {
+            Ok(()) => first += N_PER_STREAM,
             Err(status) => break status,
-        };
-        promised = stream.opened.durable_sequence;
-        let sender = stream.sender();
-        let (first, image) = (next_sequence, image.clone());
-        let sending = tokio::spawn(async move {
-            for sequence in first..first + 500 {
-                let frame = tests::frame(sequence, image.clone());
-                let message = Some(v1::stream_frames_request::Message::Frame(frame));
-                if sender.send(v1::StreamFramesRequest { message }).await.is_err() {
-                    break;
-                }
-            }
-        });
-        let mut failure = None;
-        for _ in 0..500 {
-            match stream.next().await {
-                Ok(_) => {}
-                Err(status) => {
-                    failure = Some(status);
-                    break;
-                }
-            }
         }
-        sending.await.unwrap();
-        let failure = match failure {
-            None => stream.finish().await.err(),
-            failure => failure,
-        };
-        if let Some(status) = failure {
-            break status;
-        }
-        next_sequence += 500;
     };
     assert_eq!(status.code(), Code::ResourceExhausted, "{status}");
     assert!(status.message().contains("room"), "{status}");
 
     // Reading goes on, and what was promised is there and whole.
     let session = server.get_json("/v1/sessions/s").await;
-    assert_eq!(session["durable_sequence"].as_u64(), promised);
-    assert_eq!(session["n_frames"].as_u64(), Some(promised.map_or(0, |sequence| sequence + 1)));
+    let durable = session["durable_sequence"].as_u64();
+    assert!(durable >= promised, "{durable:?} is saved, {promised:?} was promised");
+    assert_eq!(session["n_frames"].as_u64(), durable.map(|sequence| sequence + 1));
     let problems = server.running().service().store().check().await.unwrap();
     assert!(problems.is_empty(), "{problems:?}");
 }

@@ -5,7 +5,7 @@ use proto::v1::stream_frames_request::Message as Request;
 use proto::v1::stream_frames_response::Message as Response;
 use tests::{FrameStream, SmallWorld, TestServer, create_session, open_message};
 
-/// Frames of the room that the tests stream: three seconds.
+/// Frames of the room that the tests stream: six seconds.
 const N_FRAMES: usize = 60;
 
 /// Streams frames and returns the answers, in order.
@@ -41,7 +41,7 @@ async fn a_streamed_room_becomes_a_map_a_trajectory_and_images() {
     let mut stream = FrameStream::open(&mut client, open_message("room")).await.unwrap();
     let results = stream_frames(&mut stream, (0..N_FRAMES).map(|i| world.frame(i)).collect()).await;
     assert!(
-        n_tracked(&results) > N_FRAMES / 2,
+        n_tracked(&results) > N_FRAMES / 3,
         "only {} of {N_FRAMES} frames were tracked",
         n_tracked(&results)
     );
@@ -73,11 +73,7 @@ async fn a_streamed_room_becomes_a_map_a_trajectory_and_images() {
     assert_eq!(response.headers()["content-type"], "image/png");
     let image = image::load_from_memory(&response.bytes().await.unwrap()).unwrap().into_luma8();
     let sequence = keyframes[0]["sequence"].as_u64().unwrap() as usize;
-    assert_eq!(
-        image.into_raw(),
-        world.sequence().frame(sequence).image.pixels(),
-        "the image is the one that was sent"
-    );
+    assert_eq!(image.into_raw(), world.pixels(sequence), "the image is the one that was sent");
 
     let all = server.get_json("/v1/sessions/room/points?page_size=1000").await;
     let point = all["points"][0].clone();
@@ -108,7 +104,7 @@ async fn a_restarted_server_finds_its_place_and_goes_on() {
     let mut stream = FrameStream::open(&mut client, open_message("room")).await.unwrap();
     let next = stream.opened.next_sequence as usize;
     assert_eq!(next, N_FRAMES);
-    let results = stream_frames(&mut stream, (next..next + 40).map(|i| world.frame(i)).collect()).await;
+    let results = stream_frames(&mut stream, (next..next + 20).map(|i| world.frame(i)).collect()).await;
     stream.finish().await.unwrap();
     // Two seconds of frames are enough to find the place again.
     assert!(results.iter().any(|result| result.relocalised), "the place was not found again");

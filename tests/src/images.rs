@@ -51,6 +51,10 @@ fn crc32(bytes: &[u8]) -> u32 {
     !remainder
 }
 
+/// Frames of the ready-made sequence to one that is sent: ten a second instead of twenty, to see more of the room in
+/// fewer frames.
+const FRAME_STEP: usize = 2;
+
 /// A room full of texture that a small camera goes around in: quick to render and easy to track.
 pub struct SmallWorld {
     sequence: Sequence,
@@ -64,11 +68,6 @@ impl SmallWorld {
         (camera.width, camera.height) = (480, 360);
         (camera.fx, camera.fy, camera.cx, camera.cy) = (345.0, 345.0, 239.5, 179.5);
         Self { sequence: Sequence::new(config).expect("the camera is valid") }
-    }
-
-    /// The sequence.
-    pub fn sequence(&self) -> &Sequence {
-        &self.sequence
     }
 
     /// The camera on the wire.
@@ -88,8 +87,19 @@ impl SmallWorld {
 
     /// Frame `i`, with `i` for its number.
     pub fn frame(&self, i: usize) -> v1::Frame {
-        let SyntheticFrame { timestamp_ns, image, .. } = self.sequence.frame(i);
+        let SyntheticFrame { timestamp_ns, image, .. } = self.sequence.frame(i * FRAME_STEP);
         let image = raw_gray(image.width(), image.height(), image.pixels());
         v1::Frame { sequence: i as u64, timestamp_ns, image: Some(image) }
+    }
+
+    /// Pixels of frame `i`, row by row.
+    pub fn pixels(&self, i: usize) -> Vec<u8> {
+        self.sequence.frame(i * FRAME_STEP).image.into_pixels()
+    }
+
+    /// True position of the camera at frame `i`.
+    pub fn camera_position(&self, i: usize) -> [f64; 3] {
+        let centre = self.sequence.camera_from_world(i * FRAME_STEP).inverse().translation;
+        [centre.x, centre.y, centre.z]
     }
 }
