@@ -9,6 +9,9 @@ use super::peers::Peer;
 use super::statistics::{Row, Spread};
 use super::{Configuration, Pace};
 
+/// What stands above figures that must not be quoted.
+const UNOPTIMISED: &str = "**This was not a release build: its times say nothing.**\n\n";
+
 /// The whole document. It has no date: the same figures give the same bytes.
 pub fn document(command: &str, machine: &Machine, pace: Pace, rows: &[Row], peers: &[Peer]) -> String {
     let pace = match pace {
@@ -25,7 +28,8 @@ pub fn document(command: &str, machine: &Machine, pace: Pace, rows: &[Row], peer
          similarity alignment (the figure of `evo_ape tum TRUTH ESTIMATE -as`). {pace}\n\n\
          Read ATE only beside coverage, the share of all frames with a pose: a short trajectory flatters it. Scale \
          drift is the local scale of the second half of the trajectory over that of the first. Memory is the peak \
-         of server and client together.\n\n{tables}",
+         of server and client together.\n\n{warning}{tables}",
+        warning = if cfg!(debug_assertions) { UNOPTIMISED } else { "" },
         cores = machine.cores,
         cpu = machine.cpu,
         tables = tables(rows, peers),
