@@ -40,7 +40,7 @@ pub enum ClientError {
     #[error(transparent)]
     File(#[from] FileError),
     /// What came could not be written.
-    #[error("cannot write: {0}")]
+    #[error("cannot write")]
     Write(#[from] std::io::Error),
 }
 

@@ -29,6 +29,7 @@
 pub mod decode;
 mod grid;
 mod image;
+pub mod lines;
 pub mod matching;
 pub mod orb;
 pub mod place;

@@ -1,0 +1,5 @@
+//! Line segments: finding, describing and following them.
+
+mod segment;
+
+pub use segment::Segment;
