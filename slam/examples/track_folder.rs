@@ -109,7 +109,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     std::fs::write(out, text)?;
 
     println!("frames {} posed {n_posed} backfilled {n_backfilled} {counts:?}", frames.len());
-    println!("key frames {} (made {}) points {}", map.n_keyframes(), map.last_ids().0, map.n_points());
+    println!("key frames {} (made {}) points {}", map.n_keyframes(), map.last_ids().keyframe, map.n_points());
     println!("cpu ms: {} wall ms: {} total {elapsed:.1} s", summary(&mut cpu_ms), summary(&mut wall_ms));
     for (name, times) in &mut stage_ms {
         println!("  {name}: {}", summary(times));

@@ -14,6 +14,23 @@ pub enum Threading {
     Background,
 }
 
+/// What a session uses beside points: the paper's ablation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FeatureSwitches {
+    /// Line segments are tracked, mapped and optimised. Default on.
+    pub lines: bool,
+    /// Vanishing directions are shared by key frames as global primitives; needs `lines`. Default on.
+    pub global_primitives: bool,
+    /// Places seen again correct the map. Default on.
+    pub loop_closing: bool,
+}
+
+impl Default for FeatureSwitches {
+    fn default() -> Self {
+        Self { lines: true, global_primitives: true, loop_closing: true }
+    }
+}
+
 /// Configuration of a session.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlamConfig {
@@ -21,6 +38,8 @@ pub struct SlamConfig {
     pub threading: Threading,
     /// Seed of every random choice. Default 0.
     pub seed: u64,
+    /// What the session uses. Default everything.
+    pub features: FeatureSwitches,
     /// Images wider than this are scaled down to it, and the calibration with them, pixels. Default 1280: the
     /// front end's time grows with the area, and corners of larger images are no better located.
     pub working_width_px: u32,
@@ -43,6 +62,7 @@ impl Default for SlamConfig {
         Self {
             threading: Threading::default(),
             seed: 0,
+            features: FeatureSwitches::default(),
             working_width_px: 1280,
             orb: OrbConfig::default(),
             initialisation: InitialisationConfig::default(),

@@ -29,7 +29,34 @@ impl PyramidGeometry {
     }
 }
 
-/// The points of one frame. Immutable once made and shared between the frame, its key frame and the store.
+/// A segment of one frame, as the back end uses it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineFeature {
+    /// Where it begins, without lens distortion, pixels of the ideal pinhole camera.
+    pub start: Vector2<f64>,
+    /// Where it ends, likewise. The brighter side is to the right of the way from start to end.
+    pub end: Vector2<f64>,
+    /// Standard deviation of the line's position at the ends, across it, pixels.
+    pub sigma_px: f64,
+    /// Looks of the segment's surroundings.
+    pub descriptor: Descriptor,
+    /// Number of the track through the frames that the segment belongs to. Begins anew with each run of a session.
+    pub track: u64,
+}
+
+impl LineFeature {
+    /// Length, pixels.
+    pub fn length(&self) -> f64 {
+        (self.end - self.start).norm()
+    }
+
+    /// The point half way, pixels.
+    pub fn midpoint(&self) -> Vector2<f64> {
+        (self.start + self.end) / 2.0
+    }
+}
+
+/// The points and lines of one frame. Immutable once made and shared between the frame, its key frame and the store.
 #[derive(Clone, Debug)]
 pub struct FrameFeatures {
     /// Keypoints as detected, in pixels of the working image.
@@ -38,6 +65,8 @@ pub struct FrameFeatures {
     pub undistorted: Vec<Vector2<f64>>,
     /// One binary descriptor per keypoint.
     pub descriptors: Vec<Descriptor>,
+    /// Line segments.
+    pub lines: Vec<LineFeature>,
     /// The ideal camera the undistorted coordinates belong to.
     pub pinhole: Pinhole,
     /// The resolutions the keypoints were looked for in.
@@ -93,7 +122,14 @@ impl FrameFeatures {
         let entries =
             keypoints.iter().zip(&undistorted).map(|(keypoint, p)| (p.x as f32, p.y as f32, keypoint.octave));
         let grid = KeypointGrid::from_entries(entries, bounds);
-        Self { keypoints, undistorted, descriptors, pinhole: camera.pinhole(), pyramid, bounds, grid }
+        let (lines, pinhole) = (Vec::new(), camera.pinhole());
+        Self { keypoints, undistorted, descriptors, lines, pinhole, pyramid, bounds, grid }
+    }
+
+    /// The same features with these lines.
+    #[must_use]
+    pub fn with_lines(self, lines: Vec<LineFeature>) -> Self {
+        Self { lines, ..self }
     }
 
     /// How many keypoints there are.

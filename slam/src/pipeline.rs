@@ -169,7 +169,7 @@ impl Pipeline {
             initialiser: is_empty.then(|| Initialiser::new(config.initialisation.clone(), config.seed)),
             backfill: Backfill::new(config.clone()),
             submap: map.submaps().last().copied().unwrap_or_default(),
-            next_keyframe_idx: map.last_ids().0,
+            next_keyframe_idx: map.last_ids().keyframe,
             map: Arc::new(map),
             unrecorded: Vec::new(),
             at_risk: Vec::new(),

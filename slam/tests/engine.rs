@@ -2,7 +2,7 @@
 
 use geometry::nalgebra::Vector3;
 use geometry::{Pose, Similarity};
-use slam::map::{FrameRecord, FrameState, MapParts};
+use slam::map::{FrameRecord, FrameState};
 use slam::{Frame, FrameError, FrameReport, InitialisationWait, Map, NoClock, Pipeline, ResumeState};
 use slam::{SlamConfig, Threading, TrackingOutcome};
 use std::collections::BTreeMap;
@@ -130,17 +130,7 @@ fn a_resumed_session_finds_its_place_and_goes_on_in_the_same_frame_of_reference(
         session.frame(index as u64, image(&sequence, index));
     }
     let map = session.finish();
-    let (last_keyframe_id, last_point_id) = map.last_ids();
-    let state = ResumeState {
-        map: MapParts {
-            keyframes: map.keyframes().cloned().collect(),
-            points: map.points().cloned().collect(),
-            removed_keyframes: map.removed_keyframes().copied().collect(),
-            last_keyframe_id,
-            last_point_id,
-        },
-        last_frame: Some((89, 89 * 33_333_333)),
-    };
+    let state = ResumeState { map: map.to_parts(), last_frame: Some((89, 89 * 33_333_333)) };
     let mut resumed = Session::resume(&sequence, Threading::Background, state);
     resumed.records = std::mem::take(&mut session.records);
     let reports: Vec<FrameReport> =
@@ -250,11 +240,7 @@ fn an_inconsistent_stored_map_is_refused() {
         number += 1;
     }
     let map = session.finish();
-    let mut parts = MapParts {
-        keyframes: map.keyframes().cloned().collect(),
-        points: map.points().cloned().collect(),
-        ..MapParts::default()
-    };
+    let mut parts = map.to_parts();
     assert!(Map::from_parts(parts.clone()).is_ok());
     parts.points.pop().expect("the map has points");
     let error = Map::from_parts(parts).unwrap_err();

@@ -1,6 +1,6 @@
 //! What changed in a map since it was last handed out.
 
-use super::{KeyframeId, Map, PointId, SubmapId};
+use super::{KeyframeId, LineId, Map, PointId, PrimitiveId, SubmapId};
 use geometry::Pose;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -16,6 +16,14 @@ pub struct MapChanges {
     pub points: BTreeSet<PointId>,
     /// Points that were removed.
     pub removed_points: BTreeSet<PointId>,
+    /// Lines that are new, moved, or have other observations than before.
+    pub lines: BTreeSet<LineId>,
+    /// Lines that were removed.
+    pub removed_lines: BTreeSet<LineId>,
+    /// Global primitives that are new, turned, or have other observations than before.
+    pub primitives: BTreeSet<PrimitiveId>,
+    /// Global primitives that were removed.
+    pub removed_primitives: BTreeSet<PrimitiveId>,
 }
 
 impl MapChanges {
@@ -25,6 +33,10 @@ impl MapChanges {
             && self.removed_keyframes.is_empty()
             && self.points.is_empty()
             && self.removed_points.is_empty()
+            && self.lines.is_empty()
+            && self.removed_lines.is_empty()
+            && self.primitives.is_empty()
+            && self.removed_primitives.is_empty()
     }
 
     /// Adds what changed afterwards; what was removed afterwards no longer counts as changed.
@@ -35,6 +47,12 @@ impl MapChanges {
         self.removed_points.extend(later.removed_points);
         self.keyframes.retain(|id| !self.removed_keyframes.contains(id));
         self.points.retain(|id| !self.removed_points.contains(id));
+        self.lines.extend(later.lines);
+        self.removed_lines.extend(later.removed_lines);
+        self.lines.retain(|id| !self.removed_lines.contains(id));
+        self.primitives.extend(later.primitives);
+        self.removed_primitives.extend(later.removed_primitives);
+        self.primitives.retain(|id| !self.removed_primitives.contains(id));
     }
 }
 

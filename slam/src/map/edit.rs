@@ -1,7 +1,8 @@
 //! Changing a map. Every change keeps both sides of an observation in step and notes the rows it touches.
 
 use super::{
-    Keyframe, KeyframeId, Map, MapChanges, Observation, PointId, PointLandmark, RemovedKeyframe, SubmapId,
+    Keyframe, KeyframeId, LineId, Map, MapChanges, Observation, PointId, PointLandmark, PrimitiveId,
+    RemovedKeyframe, SubmapId,
 };
 use geometry::Pose;
 use geometry::nalgebra::Vector3;
@@ -27,6 +28,13 @@ impl Map {
                 *slot = None;
             }
         }
+        for (feature_idx, slot) in keyframe.lines.iter_mut().enumerate() {
+            let Some(line_id) = *slot else { continue };
+            let observation = Observation { keyframe: id, feature_idx: feature_idx as u32 };
+            if !self.enter_line_observation(line_id, observation) {
+                *slot = None;
+            }
+        }
         self.changes.keyframes.insert(id);
         self.keyframes.insert(id.index(), keyframe);
     }
@@ -40,6 +48,12 @@ impl Map {
         let Some(removed) = self.keyframes.remove(id.index()) else { return };
         for (_, point_id) in removed.observed_points() {
             self.leave_observation(point_id, id);
+        }
+        for (_, line_id) in removed.observed_lines() {
+            self.leave_line_observation(line_id, id);
+        }
+        for primitive_id in removed.vanishing.iter().filter_map(|seen| seen.primitive) {
+            self.leave_primitive_observation(primitive_id, id);
         }
         let camera_from_anchor = removed.camera_from_world * anchor_from_world.inverse();
         Arc::make_mut(&mut self.removed_keyframes)
@@ -180,6 +194,15 @@ impl Map {
         let points: Vec<PointId> =
             self.points().filter(|point| point.submap == submap).map(|point| point.id).collect();
         points.into_iter().for_each(|id| self.remove_point(id));
+        let lines: Vec<LineId> =
+            self.lines().filter(|line| line.submap == submap).map(|line| line.id).collect();
+        lines.into_iter().for_each(|id| self.remove_line(id));
+        let primitives: Vec<PrimitiveId> = self
+            .primitives()
+            .filter(|primitive| primitive.submap == submap)
+            .map(|primitive| primitive.id)
+            .collect();
+        primitives.into_iter().for_each(|id| self.remove_primitive(id));
         let keyframes: Vec<KeyframeId> = self
             .keyframes()
             .filter(|keyframe| keyframe.submap == submap)
@@ -296,7 +319,7 @@ impl Map {
         }
     }
 
-    fn edit_keyframe(&mut self, id: KeyframeId, edit: impl FnOnce(&mut Keyframe)) {
+    pub(super) fn edit_keyframe(&mut self, id: KeyframeId, edit: impl FnOnce(&mut Keyframe)) {
         if let Some(keyframe) = self.keyframes.get_mut(id.index()) {
             edit(keyframe);
             self.changes.keyframes.insert(id);
@@ -355,7 +378,7 @@ fn view_geometry(map: &Map, point: &PointLandmark) -> Option<(Vector3<f64>, (f64
 }
 
 /// The descriptor with the least median distance to the others.
-fn most_central(descriptors: &[Descriptor]) -> Option<Descriptor> {
+pub(super) fn most_central(descriptors: &[Descriptor]) -> Option<Descriptor> {
     /// More views than this say nothing new about the appearance, and the work grows with their square.
     const MAX_COMPARED: usize = 12;
     let step = descriptors.len().div_ceil(MAX_COMPARED).max(1);

@@ -51,6 +51,14 @@ id!(
     /// Identity of a point landmark.
     PointId, "p"
 );
+id!(
+    /// Identity of a line landmark.
+    LineId, "l"
+);
+id!(
+    /// Identity of a global primitive.
+    PrimitiveId, "g"
+);
 
 /// A connected piece of map with one frame of reference. A session starts with submap 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -1,6 +1,7 @@
 //! Key frames: the frames a map is made of.
 
-use super::ids::{KeyframeId, PointId, SubmapId};
+use super::ids::{KeyframeId, LineId, PointId, SubmapId};
+use super::primitive::VanishingObservation;
 use crate::features::FrameFeatures;
 use geometry::Pose;
 use std::sync::Arc;
@@ -22,6 +23,10 @@ pub struct Keyframe {
     pub features: Arc<FrameFeatures>,
     /// The landmark each keypoint observes, one entry per keypoint.
     pub points: Vec<Option<PointId>>,
+    /// The landmark each segment observes, one entry per segment.
+    pub lines: Vec<Option<LineId>>,
+    /// The vanishing points found in the key frame; which there are never changes, only what they belong to.
+    pub vanishing: Vec<VanishingObservation>,
     /// The key frame this one hangs on in the spanning tree; `None` for the first of a submap.
     pub parent: Option<KeyframeId>,
     /// Key frames that share at least [`crate::MappingConfig::min_covisible_points`] points with this one,
@@ -30,7 +35,7 @@ pub struct Keyframe {
 }
 
 impl Keyframe {
-    /// A key frame of stored parts that sees no landmark yet: fill `points` afterwards.
+    /// A key frame of stored parts that sees no landmark yet: fill `points`, `lines` and `vanishing` afterwards.
     pub fn from_parts(
         id: KeyframeId,
         submap: SubmapId,
@@ -41,8 +46,20 @@ impl Keyframe {
         parent: Option<KeyframeId>,
     ) -> Self {
         let points = vec![None; features.len()];
-        let covisible = Vec::new();
-        Self { id, submap, sequence, timestamp_ns, camera_from_world, features, points, parent, covisible }
+        let lines = vec![None; features.lines.len()];
+        Self {
+            id,
+            submap,
+            sequence,
+            timestamp_ns,
+            camera_from_world,
+            features,
+            points,
+            lines,
+            vanishing: Vec::new(),
+            parent,
+            covisible: Vec::new(),
+        }
     }
 
     /// Key frames that share points with this one and how many they share, most first.
@@ -53,6 +70,11 @@ impl Keyframe {
     /// The observed landmarks with the keypoints that see them.
     pub fn observed_points(&self) -> impl Iterator<Item = (usize, PointId)> + '_ {
         self.points.iter().enumerate().filter_map(|(keypoint_idx, point)| Some((keypoint_idx, (*point)?)))
+    }
+
+    /// The observed lines with the segments that see them.
+    pub fn observed_lines(&self) -> impl Iterator<Item = (usize, LineId)> + '_ {
+        self.lines.iter().enumerate().filter_map(|(line_idx, line)| Some((line_idx, (*line)?)))
     }
 
     /// How many keypoints see a landmark.

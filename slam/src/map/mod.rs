@@ -5,18 +5,25 @@
 
 mod changes;
 mod edit;
+mod edit_lines;
+mod edit_primitives;
 mod ids;
 mod keyframe;
+mod line;
 mod paged;
 mod parts;
 mod point;
+mod primitive;
 #[cfg(test)]
 mod tests;
 
 pub use changes::{FramePose, FrameRecord, FrameState, MapChanges, MapUpdate};
-pub use ids::{KeyframeId, PointId, SubmapId};
+pub(crate) use edit_lines::LinePlace;
+pub use ids::{KeyframeId, LineId, PointId, PrimitiveId, SubmapId};
 pub use keyframe::{Keyframe, RemovedKeyframe};
+pub use line::LineLandmark;
 pub use point::{Observation, PointLandmark};
+pub use primitive::{GlobalPrimitive, PrimitiveObservation, VanishingObservation};
 
 use geometry::Pose;
 use paged::Paged;
@@ -28,9 +35,13 @@ use std::sync::Arc;
 pub struct Map {
     keyframes: Paged<Keyframe>,
     points: Paged<PointLandmark>,
+    lines: Paged<LineLandmark>,
+    primitives: Paged<GlobalPrimitive>,
     removed_keyframes: Arc<BTreeMap<KeyframeId, RemovedKeyframe>>,
     next_keyframe_idx: usize,
     next_point_idx: usize,
+    next_line_idx: usize,
+    next_primitive_idx: usize,
     changes: MapChanges,
 }
 
@@ -41,12 +52,27 @@ pub struct MapParts {
     pub keyframes: Vec<Keyframe>,
     /// Points.
     pub points: Vec<PointLandmark>,
+    /// Lines.
+    pub lines: Vec<LineLandmark>,
+    /// Global primitives.
+    pub primitives: Vec<GlobalPrimitive>,
     /// Removed key frames that frames may still refer to.
     pub removed_keyframes: Vec<RemovedKeyframe>,
     /// Numbers above which ids are free; ids in use above them are respected too.
-    pub last_keyframe_id: u64,
-    /// See `last_keyframe_id`.
-    pub last_point_id: u64,
+    pub last_ids: LastIds,
+}
+
+/// The highest ids ever given out in a session, 0 before the first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LastIds {
+    /// Of key frames.
+    pub keyframe: u64,
+    /// Of points.
+    pub point: u64,
+    /// Of lines.
+    pub line: u64,
+    /// Of global primitives.
+    pub primitive: u64,
 }
 
 /// Why a stored map cannot be used, or what is wrong with a map in memory.
@@ -63,6 +89,36 @@ impl Map {
     /// The point with this id, if it is in the map.
     pub fn point(&self, id: PointId) -> Option<&PointLandmark> {
         self.points.get(id.index())
+    }
+
+    /// The line with this id, if it is in the map.
+    pub fn line(&self, id: LineId) -> Option<&LineLandmark> {
+        self.lines.get(id.index())
+    }
+
+    /// The global primitive with this id, if it is in the map.
+    pub fn primitive(&self, id: PrimitiveId) -> Option<&GlobalPrimitive> {
+        self.primitives.get(id.index())
+    }
+
+    /// Every line, oldest first.
+    pub fn lines(&self) -> impl Iterator<Item = &LineLandmark> {
+        self.lines.iter()
+    }
+
+    /// Every global primitive, oldest first.
+    pub fn primitives(&self) -> impl Iterator<Item = &GlobalPrimitive> {
+        self.primitives.iter()
+    }
+
+    /// How many lines there are.
+    pub fn n_lines(&self) -> usize {
+        self.lines.len()
+    }
+
+    /// How many global primitives there are.
+    pub fn n_primitives(&self) -> usize {
+        self.primitives.len()
     }
 
     /// Every key frame, oldest first.
@@ -95,9 +151,14 @@ impl Map {
         self.removed_keyframes.values()
     }
 
-    /// The highest key frame and point ids ever given out (0 before the first).
-    pub fn last_ids(&self) -> (u64, u64) {
-        (self.next_keyframe_idx as u64, self.next_point_idx as u64)
+    /// The highest ids ever given out.
+    pub fn last_ids(&self) -> LastIds {
+        LastIds {
+            keyframe: self.next_keyframe_idx as u64,
+            point: self.next_point_idx as u64,
+            line: self.next_line_idx as u64,
+            primitive: self.next_primitive_idx as u64,
+        }
     }
 
     /// Pose of a key frame that is or was in the map, following removed ones to what they hang on.

@@ -40,6 +40,8 @@ impl TrackedFrame {
             camera_from_world: self.camera_from_world,
             features: self.features.clone(),
             points: self.points.clone(),
+            lines: vec![None; self.features.lines.len()],
+            vanishing: Vec::new(),
             parent,
             covisible: Vec::new(),
         }

@@ -81,7 +81,7 @@ impl LocalMap {
     fn collect_points(&mut self, map: &Map) {
         self.points.clear();
         self.round = self.round.wrapping_add(1);
-        self.stamps.resize(map.last_ids().1 as usize, self.round.wrapping_sub(1));
+        self.stamps.resize(map.last_ids().point as usize, self.round.wrapping_sub(1));
         for keyframe in self.keyframes.iter().filter_map(|id| map.keyframe(*id)) {
             for (_, id) in keyframe.observed_points() {
                 let stamp = &mut self.stamps[id.index()];
