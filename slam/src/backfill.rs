@@ -108,7 +108,7 @@ impl Backfill {
             (TrackingOutcome::Tracked, Some(frame)) => {
                 self.n_failures = 0;
                 let n_required = MIN_INLIER_SHARE * n_inliers.unwrap_or(0) as f64;
-                if (tracked.n_inliers as f64) < n_required {
+                if (tracked.inliers.total() as f64) < n_required {
                     return None;
                 }
                 Some(FrameRecord {

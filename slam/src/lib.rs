@@ -16,8 +16,8 @@ mod tracking;
 
 pub use clock::{Clock, NoClock};
 pub use config::{
-    ConfigError, FeatureSwitches, InitialisationConfig, KeyframeConfig, MappingConfig, RelocalisationConfig,
-    SlamConfig, Threading, TrackingConfig,
+    ConfigError, FeatureSwitches, InitialisationConfig, KeyframeConfig, LineConfig, MappingConfig,
+    RelocalisationConfig, SlamConfig, Threading, TrackingConfig,
 };
 pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::{Frame, FrameError, Pipeline, ResumeError, ResumeState};

@@ -11,7 +11,7 @@ use crate::map::{
 use crate::mapping::stage::MappingStage;
 use crate::mapping::{InitialMap, Mapper, NewKeyframe};
 use crate::report::{FrameReport, InitialisationWait, TrackingOutcome};
-use crate::tracking::frame::TrackedFrame;
+use crate::tracking::frame::{Inliers, TrackedFrame};
 use crate::tracking::{Tracked, Tracker};
 use geometry::{Camera, Pose};
 use std::sync::Arc;
@@ -120,7 +120,7 @@ pub struct Pipeline {
 struct Verdict {
     outcome: TrackingOutcome,
     frame: Option<TrackedFrame>,
-    n_inliers: usize,
+    inliers: Inliers,
     relocalised: bool,
     is_keyframe: bool,
 }
@@ -291,16 +291,18 @@ impl Pipeline {
     }
 
     fn begin_map(&mut self, pair: InitialPair) -> Verdict {
-        let n_inliers = pair.points.len();
+        let inliers = Inliers { n_points: pair.points.len(), n_lines: 0 };
         let (first_id, second_id) = (self.next_keyframe_id(), self.next_keyframe_id());
-        let frame_of = |view: &View, camera_from_world, reference| TrackedFrame {
-            sequence: view.sequence,
-            timestamp_ns: view.timestamp_ns,
-            points: vec![None; view.features.len()],
-            features: view.features.clone(),
-            camera_from_world,
-            reference,
-            submap: self.submap,
+        let frame_of = |view: &View, camera_from_world, reference| {
+            let features = view.features.clone();
+            TrackedFrame::blank(
+                view.sequence,
+                view.timestamp_ns,
+                features,
+                camera_from_world,
+                reference,
+                self.submap,
+            )
         };
         let first = frame_of(&pair.first, Pose::identity(), first_id);
         let mut second = frame_of(&pair.second, pair.second_from_first, second_id);
@@ -335,19 +337,19 @@ impl Pipeline {
         Verdict {
             outcome: TrackingOutcome::Tracked,
             frame: Some(second),
-            n_inliers,
+            inliers,
             relocalised: false,
             is_keyframe: true,
         }
     }
 
     fn track(&mut self, view: &View) -> Verdict {
-        let Tracked { outcome, frame, n_inliers, relocalised } =
+        let Tracked { outcome, frame, inliers, relocalised } =
             self.tracker.track(view.sequence, view.timestamp_ns, view.features.clone(), &self.map);
         if frame.is_none() && self.mapping_enabled && self.map.n_keyframes() < MIN_KEYFRAMES_TO_KEEP {
             self.begin_anew();
         }
-        Verdict { outcome, frame, n_inliers, relocalised, is_keyframe: false }
+        Verdict { outcome, frame, inliers, relocalised, is_keyframe: false }
     }
 
     /// Drops a map that was lost before it was of any use.
@@ -399,7 +401,7 @@ impl Pipeline {
             return false;
         };
         let is_good = matches!(verdict.outcome, TrackingOutcome::Tracked);
-        if !is_good || !self.tracker.wants_keyframe(frame, verdict.n_inliers, &self.map) {
+        if !is_good || !self.tracker.wants_keyframe(frame, verdict.inliers, &self.map) {
             return false;
         }
         if !self.lossless && !self.mapping.is_idle() {
@@ -421,7 +423,7 @@ impl Pipeline {
         match &verdict.frame {
             None => self.backfill.keep(view, None),
             Some(frame) => {
-                self.backfill.keep(view, Some(verdict.n_inliers));
+                self.backfill.keep(view, Some(verdict.inliers.total()));
                 self.backfill.placed(frame);
                 if let Some(record) = self.backfill.step(&self.map, false) {
                     self.unrecorded.push(record);
@@ -439,8 +441,8 @@ impl Pipeline {
             submap: verdict.frame.as_ref().map_or(self.submap, |frame| frame.submap),
             outcome: verdict.outcome,
             n_keypoints: view.features.len(),
-            n_inlier_points: verdict.n_inliers,
-            n_inlier_lines: 0,
+            n_inlier_points: verdict.inliers.n_points,
+            n_inlier_lines: verdict.inliers.n_lines,
             is_keyframe: verdict.is_keyframe,
             relocalised: verdict.relocalised,
             stages: times.stages,
@@ -466,6 +468,6 @@ impl Pipeline {
 
 impl Verdict {
     fn nowhere(outcome: TrackingOutcome) -> Self {
-        Self { outcome, frame: None, n_inliers: 0, relocalised: false, is_keyframe: false }
+        Self { outcome, frame: None, inliers: Inliers::default(), relocalised: false, is_keyframe: false }
     }
 }

@@ -1,5 +1,7 @@
 //! Bundle adjustment: poses and landmarks that agree best with everything that was seen.
 
+pub(crate) mod adjustment;
+pub(crate) mod anchored_line;
 pub mod factors;
 pub(crate) mod local;
 pub(crate) mod two_view;

@@ -2,6 +2,7 @@
 
 mod culling;
 mod fusion;
+pub(crate) mod lines;
 pub(crate) mod stage;
 mod triangulation;
 
@@ -12,6 +13,7 @@ use crate::config::SlamConfig;
 use crate::map::{FrameRecord, Keyframe, KeyframeId, Map, MapUpdate, Observation, PointId, SubmapId};
 use crate::tracking::Sightings;
 use geometry::nalgebra::Vector3;
+use lines::LineMapper;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -41,11 +43,12 @@ pub(crate) struct Mapper {
     map: Map,
     /// Points on probation, with the key frame that made them.
     recent_points: Vec<PointId>,
+    lines: LineMapper,
 }
 
 impl Mapper {
     pub fn new(config: SlamConfig, map: Map) -> Self {
-        Self { config, map, recent_points: Vec::new() }
+        Self { config, map, recent_points: Vec::new(), lines: LineMapper::default() }
     }
 
     pub fn map(&self) -> &Map {
@@ -72,6 +75,7 @@ impl Mapper {
     pub fn discard(&mut self, submap: SubmapId) -> MapUpdate {
         self.map.remove_submap(submap);
         self.recent_points.retain(|id| self.map.point(*id).is_some());
+        self.lines.forget_missing(&self.map);
         self.update(Vec::new())
     }
 
@@ -87,11 +91,15 @@ impl Mapper {
         for (point, n_visible, n_found) in new.sightings.iter() {
             self.map.count_sightings(point, n_visible, n_found);
         }
+        for (line, n_visible, n_found) in new.sightings.lines() {
+            self.map.count_line_sightings(line, n_visible, n_found);
+        }
         self.insert(new.keyframe);
         culling::cull_recent_points(&mut self.map, &mut self.recent_points, id, &self.config.mapping);
         let made = triangulation::triangulate_with_neighbours(&mut self.map, id, &self.config.mapping);
         self.recent_points.extend(made);
         fusion::fuse_with_neighbours(&mut self.map, id, &self.config);
+        self.lines.extend(&mut self.map, id, &self.config);
         publish(&self.map);
         bundle::local::optimise(&mut self.map, id, &self.config.mapping, abort);
         culling::cull_keyframes(&mut self.map, id, &self.config);

@@ -1,9 +1,23 @@
 //! A frame while it is being tracked.
 
 use crate::features::FrameFeatures;
-use crate::map::{FramePose, Keyframe, KeyframeId, Map, PointId, SubmapId};
+use crate::map::{FramePose, Keyframe, KeyframeId, LineId, Map, PointId, SubmapId};
 use geometry::Pose;
 use std::sync::Arc;
+
+/// Landmarks that agree with a pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Inliers {
+    pub n_points: usize,
+    pub n_lines: usize,
+}
+
+impl Inliers {
+    /// A line bears a pose about as well as a point. [ALGORITHMS 7.3]
+    pub fn total(self) -> usize {
+        self.n_points + self.n_lines
+    }
+}
 
 /// A frame with what is known of it so far.
 #[derive(Clone, Debug)]
@@ -13,6 +27,8 @@ pub(crate) struct TrackedFrame {
     pub features: Arc<FrameFeatures>,
     /// The landmark each keypoint was matched to.
     pub points: Vec<Option<PointId>>,
+    /// The landmark each segment was matched to.
+    pub lines: Vec<Option<LineId>>,
     pub camera_from_world: Pose,
     /// The key frame that shares the most points with this one.
     pub reference: KeyframeId,
@@ -20,6 +36,19 @@ pub(crate) struct TrackedFrame {
 }
 
 impl TrackedFrame {
+    /// A frame in which nothing has been recognised yet.
+    pub fn blank(
+        sequence: u64,
+        timestamp_ns: i64,
+        features: Arc<FrameFeatures>,
+        camera_from_world: Pose,
+        reference: KeyframeId,
+        submap: SubmapId,
+    ) -> Self {
+        let (points, lines) = (vec![None; features.len()], vec![None; features.lines.len()]);
+        Self { sequence, timestamp_ns, features, points, lines, camera_from_world, reference, submap }
+    }
+
     /// The frame's place in the trajectory, relative to its reference key frame as it stands in `map`.
     pub fn pose_in(&self, map: &Map) -> Option<FramePose> {
         let reference_from_world = map.camera_from_world(self.reference)?;
@@ -40,7 +69,7 @@ impl TrackedFrame {
             camera_from_world: self.camera_from_world,
             features: self.features.clone(),
             points: self.points.clone(),
-            lines: vec![None; self.features.lines.len()],
+            lines: self.lines.clone(),
             vanishing: Vec::new(),
             parent,
             covisible: Vec::new(),

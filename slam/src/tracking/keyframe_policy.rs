@@ -1,6 +1,6 @@
 //! When a frame is worth keeping. [ALGORITHMS 7.4]
 
-use super::frame::TrackedFrame;
+use super::frame::{Inliers, TrackedFrame};
 use super::local_map::n_established_points;
 use crate::config::KeyframeConfig;
 use crate::map::{KeyframeId, Map, PointId};
@@ -50,14 +50,16 @@ pub(super) fn wants_keyframe(
     config: &KeyframeConfig,
     map: &Map,
     frame: &TrackedFrame,
-    n_inliers: usize,
+    inliers: Inliers,
     last: Option<&LastKeyframe>,
     n_since_relocalisation: Option<u64>,
 ) -> bool {
-    if n_inliers < config.min_inliers || n_since_relocalisation.is_some_and(|n| n < config.settle_frames) {
+    if inliers.total() < config.min_inliers
+        || n_since_relocalisation.is_some_and(|n| n < config.settle_frames)
+    {
         return false;
     }
-    let share = tracked_share(map, frame.reference, n_inliers);
+    let share = tracked_share(map, frame.reference, inliers.n_points);
     let Some(last) = last else { return share < config.max_tracked_share };
     if frame.timestamp_ns - last.timestamp_ns >= config.max_interval_ns
         && share < config.max_tracked_share_after_wait

@@ -1,10 +1,11 @@
 //! The part of the map a frame can see: key frames that share its points, their neighbours, and what those see.
 
 use super::frame::TrackedFrame;
+use super::lines::{ExpectedLine, PredictedSegment, match_lines};
 use super::search::{PredictedView, Window, find_in_window};
-use crate::config::TrackingConfig;
-use crate::map::{KeyframeId, Map, PointId, PointLandmark};
-use std::collections::BTreeMap;
+use crate::config::{LineConfig, TrackingConfig};
+use crate::map::{KeyframeId, LineId, Map, PointId, PointLandmark};
+use std::collections::{BTreeMap, BTreeSet};
 use vision::matching::LOOSE_DISTANCE;
 
 /// Neighbours taken in per key frame that shares points with the frame.
@@ -15,15 +16,17 @@ const N_NEIGHBOURS: usize = 10;
 pub(crate) struct LocalMap {
     keyframes: Vec<KeyframeId>,
     points: Vec<PointId>,
+    lines: BTreeSet<LineId>,
     /// Per point index: the round in which it was last taken in.
     stamps: Vec<u32>,
     round: u32,
 }
 
-/// How often each point should have been found and was, since the last key frame.
+/// How often each landmark should have been found and was, since the last key frame.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Sightings {
     counts: BTreeMap<PointId, (u32, u32)>,
+    line_counts: BTreeMap<LineId, (u32, u32)>,
 }
 
 impl Sightings {
@@ -33,6 +36,19 @@ impl Sightings {
 
     pub fn found(&mut self, id: PointId) {
         self.counts.entry(id).or_default().1 += 1;
+    }
+
+    pub fn line_visible(&mut self, id: LineId) {
+        self.line_counts.entry(id).or_default().0 += 1;
+    }
+
+    pub fn line_found(&mut self, id: LineId) {
+        self.line_counts.entry(id).or_default().1 += 1;
+    }
+
+    /// Line, frames that should have seen it, frames that did.
+    pub fn lines(&self) -> impl Iterator<Item = (LineId, u32, u32)> + '_ {
+        self.line_counts.iter().map(|(id, (visible, found))| (*id, *visible, *found))
     }
 
     /// Point, frames that should have seen it, frames that did.
@@ -80,6 +96,7 @@ impl LocalMap {
 
     fn collect_points(&mut self, map: &Map) {
         self.points.clear();
+        self.lines.clear();
         self.round = self.round.wrapping_add(1);
         self.stamps.resize(map.last_ids().point as usize, self.round.wrapping_sub(1));
         for keyframe in self.keyframes.iter().filter_map(|id| map.keyframe(*id)) {
@@ -90,7 +107,38 @@ impl LocalMap {
                     self.points.push(id);
                 }
             }
+            self.lines.extend(keyframe.observed_lines().map(|(_, id)| id));
         }
+    }
+
+    /// Looks for the lines of the local map that the frame has not found yet.
+    pub fn search_lines(
+        &mut self,
+        map: &Map,
+        frame: &mut TrackedFrame,
+        config: &LineConfig,
+        sightings: &mut Sightings,
+    ) {
+        for id in frame.lines.iter().flatten() {
+            sightings.line_visible(*id);
+            self.lines.remove(id);
+        }
+        let expected: Vec<ExpectedLine<'_>> = self
+            .lines
+            .iter()
+            .filter_map(|id| {
+                let line = map.line(*id)?;
+                let segment =
+                    PredictedSegment::of(&line.endpoints, &frame.camera_from_world, &frame.features)?;
+                Some(ExpectedLine { line, segment })
+            })
+            .collect();
+        for (segment_idx, id) in
+            match_lines(&expected, &frame.features, |idx| frame.lines[idx].is_none(), config)
+        {
+            frame.lines[segment_idx] = Some(id);
+        }
+        expected.iter().for_each(|expected| sightings.line_visible(expected.line.id));
     }
 
     /// Looks for the points of the local map that the frame has not found yet. Returns how many were found.

@@ -2,6 +2,7 @@
 
 pub(crate) mod frame;
 mod keyframe_policy;
+pub(crate) mod lines;
 mod local_map;
 mod pose;
 pub(crate) mod relocalisation;
@@ -14,9 +15,10 @@ use crate::config::SlamConfig;
 use crate::features::FrameFeatures;
 use crate::map::{FramePose, KeyframeId, Map, SubmapId};
 use crate::report::{LostReason, TrackingOutcome};
-use frame::TrackedFrame;
+use frame::{Inliers, TrackedFrame};
 use geometry::Pose;
 use keyframe_policy::LastKeyframe;
+use lines::LineTracks;
 use local_map::LocalMap;
 use relocalisation::Relocaliser;
 use search::{Expected, match_keyframe, search_by_motion};
@@ -34,7 +36,7 @@ pub(crate) struct Tracked {
     pub outcome: TrackingOutcome,
     /// The frame, where it has a pose.
     pub frame: Option<TrackedFrame>,
-    pub n_inliers: usize,
+    pub inliers: Inliers,
     pub relocalised: bool,
 }
 
@@ -42,6 +44,7 @@ pub(crate) struct Tracked {
 pub(crate) struct Tracker {
     config: SlamConfig,
     local_map: LocalMap,
+    line_tracks: LineTracks,
     /// Absent where a lost camera is not to be looked for.
     relocaliser: Option<Relocaliser>,
     /// How often points were seen since the last key frame.
@@ -72,6 +75,7 @@ impl Tracker {
         Self {
             config,
             local_map: LocalMap::default(),
+            line_tracks: LineTracks::default(),
             relocaliser: None,
             sightings: Sightings::default(),
             last: None,
@@ -92,6 +96,7 @@ impl Tracker {
         if let Some(relocaliser) = &mut self.relocaliser {
             relocaliser.learn(map);
         }
+        self.line_tracks.learn(map);
         let Some(last) = &mut self.last else { return };
         match map.camera_from_world(last.place.reference) {
             Some(reference_from_world) => {
@@ -128,14 +133,15 @@ impl Tracker {
             let n_required = self.config.tracking.min_weak_inliers;
             return self.lose(LostReason::TooFewFeatures { n_keypoints: features.len(), n_required });
         }
-        let blank = |camera_from_world, reference, submap| TrackedFrame {
-            sequence,
-            timestamp_ns,
-            points: vec![None; features.len()],
-            features: features.clone(),
-            camera_from_world,
-            reference,
-            submap,
+        let blank = |camera_from_world, reference, submap| {
+            TrackedFrame::blank(
+                sequence,
+                timestamp_ns,
+                features.clone(),
+                camera_from_world,
+                reference,
+                submap,
+            )
         };
         let followed = self.last.as_ref().and_then(|last| {
             let frame = blank(last.predict(timestamp_ns), last.frame.reference, last.frame.submap);
@@ -152,17 +158,17 @@ impl Tracker {
         if relocalised {
             self.n_since_relocalisation = Some(0);
         }
-        let n_inliers = self.track_local_map(&mut frame, map);
-        self.conclude(frame, n_inliers, relocalised, map)
+        let inliers = self.track_local_map(&mut frame, map);
+        self.conclude(frame, inliers, relocalised, map)
     }
 
-    /// Whether a frame with this many inliers should become a key frame.
-    pub fn wants_keyframe(&self, frame: &TrackedFrame, n_inliers: usize, map: &Map) -> bool {
+    /// Whether a frame with these inliers should become a key frame.
+    pub fn wants_keyframe(&self, frame: &TrackedFrame, inliers: Inliers, map: &Map) -> bool {
         keyframe_policy::wants_keyframe(
             &self.config.keyframes,
             map,
             frame,
-            n_inliers,
+            inliers,
             self.last_keyframe.as_ref(),
             self.n_since_relocalisation,
         )
@@ -199,10 +205,12 @@ impl Tracker {
                 &mut frame.points,
             );
         }
+        self.line_tracks.associate(&mut frame, map, &self.config.lines);
+        let n_matches = n_matches + frame.lines.iter().flatten().count();
         if n_matches < config.min_first_inliers {
             return None;
         }
-        (place_frame(&mut frame, map) >= config.min_first_inliers).then_some(frame)
+        (place_frame(&mut frame, map).total() >= config.min_first_inliers).then_some(frame)
     }
 
     /// Points of the reference key frame, recognised by their descriptors, starting from the last pose.
@@ -217,11 +225,12 @@ impl Tracker {
         for (feature_idx, id) in matches {
             frame.points[feature_idx] = Some(id);
         }
-        (place_frame(&mut frame, map) >= config.min_first_inliers).then_some(frame)
+        self.line_tracks.associate(&mut frame, map, &self.config.lines);
+        (place_frame(&mut frame, map).total() >= config.min_first_inliers).then_some(frame)
     }
 
-    /// Finds more of what is near and places the frame by all of it. Returns the number of inliers.
-    fn track_local_map(&mut self, frame: &mut TrackedFrame, map: &Map) -> usize {
+    /// Finds more of what is near and places the frame by all of it. Returns what agrees.
+    fn track_local_map(&mut self, frame: &mut TrackedFrame, map: &Map) -> Inliers {
         let config = &self.config.tracking;
         if let Some(reference) = self.local_map.collect(map, frame, config) {
             frame.reference = reference;
@@ -230,14 +239,17 @@ impl Tracker {
         let wide = self.n_since_relocalisation.is_some_and(|n| n < WIDE_SEARCH_FRAMES);
         let radius = config.map_search_radius_px * if wide { WIDE_SEARCH_FACTOR } else { 1.0 };
         self.local_map.search(map, frame, radius, config, &mut self.sightings);
-        let n_inliers = place_frame(frame, map);
+        self.local_map.search_lines(map, frame, &self.config.lines, &mut self.sightings);
+        let inliers = place_frame(frame, map);
         frame.points.iter().flatten().for_each(|id| self.sightings.found(*id));
-        n_inliers
+        frame.lines.iter().flatten().for_each(|id| self.sightings.line_found(*id));
+        inliers
     }
 
     /// Judges a placed frame and remembers it for the next.
-    fn conclude(&mut self, frame: TrackedFrame, n_inliers: usize, relocalised: bool, map: &Map) -> Tracked {
+    fn conclude(&mut self, frame: TrackedFrame, inliers: Inliers, relocalised: bool, map: &Map) -> Tracked {
         let config = &self.config.tracking;
+        let n_inliers = inliers.total();
         if n_inliers < config.min_weak_inliers {
             let n_required = config.min_weak_inliers;
             return self.lose(LostReason::TooFewInliers { n_inliers, n_required });
@@ -254,8 +266,9 @@ impl Tracker {
             let motion = frame.camera_from_world * last.frame.camera_from_world.inverse();
             (motion, frame.timestamp_ns - last.frame.timestamp_ns)
         });
+        self.line_tracks.remember(&frame);
         self.remember(frame.clone(), map, motion);
-        Tracked { outcome, frame: Some(frame), n_inliers, relocalised }
+        Tracked { outcome, frame: Some(frame), inliers, relocalised }
     }
 
     fn remember(&mut self, frame: TrackedFrame, map: &Map, motion: Option<(Pose, i64)>) {
@@ -264,7 +277,8 @@ impl Tracker {
 
     fn lose(&mut self, reason: LostReason) -> Tracked {
         self.last = None;
-        Tracked { outcome: TrackingOutcome::Lost(reason), frame: None, n_inliers: 0, relocalised: false }
+        let outcome = TrackingOutcome::Lost(reason);
+        Tracked { outcome, frame: None, inliers: Inliers::default(), relocalised: false }
     }
 }
 

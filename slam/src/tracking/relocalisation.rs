@@ -75,13 +75,13 @@ impl Relocaliser {
         frame.reference = keyframe.id;
         frame.submap = keyframe.submap;
         self.place_by_matches(&mut frame, &matches, map)?;
-        let mut n_inliers = place_frame(&mut frame, map);
+        let mut n_inliers = place_frame(&mut frame, map).total();
         if n_inliers < self.config.min_first_inliers {
             return None;
         }
         if n_inliers < self.config.min_inliers {
             self.search_around(&mut frame, keyframe, map);
-            n_inliers = place_frame(&mut frame, map);
+            n_inliers = place_frame(&mut frame, map).total();
         }
         (n_inliers >= self.config.min_inliers).then_some(frame)
     }

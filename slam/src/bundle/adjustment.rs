@@ -1,0 +1,146 @@
+//! The optimisation problem of a part of the map, with the names of its variables.
+
+use super::anchored_line::AnchoredLine;
+use super::factors::{LineReprojectionFactor, PointReprojectionFactor};
+use crate::map::{KeyframeId, LineId, LinePlace, Map, Observation, PointId};
+use crate::mapping::lines::{TrackView, directed, seen_part};
+use geometry::nalgebra::Vector3;
+use geometry::{OrthonormalLine, Pose};
+use optim::{GroupId, Kernel, Problem, SolverOptions, VariableId, chi2_95};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Which key frames and landmarks move, and which key frames hold them in place.
+pub(crate) struct Scope {
+    pub free: BTreeSet<KeyframeId>,
+    pub fixed: BTreeSet<KeyframeId>,
+    pub points: BTreeSet<PointId>,
+    pub lines: BTreeSet<LineId>,
+}
+
+/// Poses, points and lines of a scope with every sighting among them as a factor.
+pub(crate) struct Adjustment {
+    problem: Problem,
+    poses: BTreeMap<KeyframeId, VariableId<Pose>>,
+    free: BTreeSet<KeyframeId>,
+    points: Vec<(PointId, VariableId<Vector3<f64>>)>,
+    point_group: GroupId<PointReprojectionFactor>,
+    /// Which sighting each factor stands for.
+    point_sightings: Vec<(PointId, KeyframeId)>,
+    lines: Vec<(LineId, AnchoredLine, VariableId<OrthonormalLine>)>,
+    line_group: GroupId<LineReprojectionFactor>,
+    line_sightings: Vec<(LineId, KeyframeId)>,
+}
+
+impl Adjustment {
+    pub fn of(map: &Map, scope: &Scope) -> Self {
+        let mut problem = Problem::new();
+        let mut poses = BTreeMap::new();
+        for id in scope.free.iter().chain(&scope.fixed) {
+            let Some(keyframe) = map.keyframe(*id) else { continue };
+            let variable = problem.add_variable(keyframe.camera_from_world);
+            problem.set_fixed(variable, scope.fixed.contains(id));
+            poses.insert(*id, variable);
+        }
+        let (mut points, mut point_factors, mut point_sightings) = (Vec::new(), Vec::new(), Vec::new());
+        for point in scope.points.iter().filter_map(|id| map.point(*id)) {
+            let variable = problem.add_landmark(point.position);
+            points.push((point.id, variable));
+            for seen in &point.observations {
+                let Some((pose, factor)) = point_factor(map, &poses, seen) else { continue };
+                point_factors.push(((pose, variable), factor));
+                point_sightings.push((point.id, seen.keyframe));
+            }
+        }
+        let (mut lines, mut line_factors, mut line_sightings) = (Vec::new(), Vec::new(), Vec::new());
+        for line in scope.lines.iter().filter_map(|id| map.line(*id)) {
+            let Some(anchored) = AnchoredLine::of(line) else { continue };
+            let variable = problem.add_landmark(anchored.line);
+            lines.push((line.id, anchored, variable));
+            for seen in &line.observations {
+                let (Some(pose), Some(keyframe)) = (poses.get(&seen.keyframe), map.keyframe(seen.keyframe))
+                else {
+                    continue;
+                };
+                let segment = &keyframe.features.lines[seen.feature_idx as usize];
+                line_factors.push(((*pose, variable), anchored.factor(&keyframe.features, segment)));
+                line_sightings.push((line.id, seen.keyframe));
+            }
+        }
+        let point_group = problem.add_factors(Kernel::huber_95(2), point_factors);
+        // Wrong associations of lines are frequent and must not pull for ever.
+        let line_group = problem.add_factors(Kernel::cauchy_95(), line_factors);
+        let free = scope.free.clone();
+        Self { problem, poses, free, points, point_group, point_sightings, lines, line_group, line_sightings }
+    }
+
+    /// Iterates until it converges, `max_iterations` are done, or `aborted` says so.
+    pub fn solve(&mut self, max_iterations: usize, aborted: impl Fn() -> bool) {
+        self.problem.solve(&SolverOptions { max_iterations, ..SolverOptions::default() }, aborted);
+    }
+
+    /// Leaves sightings out of what follows that disagree at present, and takes others in again.
+    pub fn judge_sightings(&mut self) {
+        self.problem.enable_inliers(self.point_group, chi2_95(2));
+        self.problem.enable_inliers(self.line_group, chi2_95(2));
+    }
+
+    /// Puts the result into the map; sightings that disagree with it are removed.
+    pub fn write_back(&self, map: &mut Map) {
+        for id in &self.free {
+            if let Some(variable) = self.poses.get(id) {
+                map.set_pose(*id, *self.problem.value(*variable));
+            }
+        }
+        for (id, variable) in &self.points {
+            map.set_position(*id, *self.problem.value(*variable));
+        }
+        for (factor_idx, (point, keyframe)) in self.point_sightings.iter().enumerate() {
+            let chi2 = self.problem.chi2(self.point_group, factor_idx);
+            if chi2.is_none_or(|chi2| chi2 > chi2_95(2)) {
+                map.remove_observation(*point, *keyframe);
+            }
+        }
+        for (id, _) in &self.points {
+            map.refresh_point_geometry(*id);
+        }
+        for (factor_idx, (line, keyframe)) in self.line_sightings.iter().enumerate() {
+            let chi2 = self.problem.chi2(self.line_group, factor_idx);
+            if chi2.is_none_or(|chi2| chi2 > chi2_95(2)) {
+                map.remove_line_observation(*line, *keyframe);
+            }
+        }
+        for (id, anchored, variable) in &self.lines {
+            write_line(map, *id, anchored, self.problem.value(*variable));
+        }
+    }
+}
+
+fn point_factor(
+    map: &Map,
+    poses: &BTreeMap<KeyframeId, VariableId<Pose>>,
+    seen: &Observation,
+) -> Option<(VariableId<Pose>, PointReprojectionFactor)> {
+    let (pose, keyframe) = (poses.get(&seen.keyframe)?, map.keyframe(seen.keyframe)?);
+    let feature_idx = seen.feature_idx as usize;
+    let factor = PointReprojectionFactor {
+        pinhole: keyframe.features.pinhole,
+        observed_px: keyframe.features.undistorted[feature_idx],
+        inverse_sigma: 1.0 / keyframe.features.sigma_px(feature_idx),
+    };
+    Some((*pose, factor))
+}
+
+/// Moves a line and finds its ends again; one that no longer is where its segments are goes.
+fn write_line(map: &mut Map, id: LineId, anchored: &AnchoredLine, value: &OrthonormalLine) {
+    let Some(line) = map.line(id) else { return };
+    let views: Vec<TrackView> =
+        line.observations.iter().filter_map(|seen| TrackView::of(map, *seen)).collect();
+    let place = anchored.line_in_world(value).and_then(|line| {
+        let endpoints = seen_part(&line, &views)?;
+        Some(LinePlace { line: directed(&line, &endpoints)?, endpoints })
+    });
+    match place {
+        Some(place) => map.set_line_place(id, &place),
+        None => map.remove_line(id),
+    }
+}

@@ -1,0 +1,121 @@
+//! Lines of the map: made of tracked segments, verified, joined and culled, key frame by key frame.
+//! [ALGORITHMS 5; paper, "Global Structure Association"]
+
+mod extent;
+mod fusion;
+mod triangulation;
+mod verification;
+
+pub(crate) use extent::seen_part;
+pub(crate) use triangulation::{TrackView, directed};
+use verification::Verification;
+
+use crate::config::SlamConfig;
+use crate::map::{KeyframeId, LineId, Map, Observation};
+use std::collections::BTreeMap;
+
+/// Observations that a line needs to survive its probation.
+const MIN_OBSERVATIONS: usize = 3;
+/// Views of a track that are looked at: the newest say the most, and pairs grow with the square.
+const MAX_TRACK_VIEWS: usize = 20;
+/// A track not seen for this many key frames has ended.
+const MAX_TRACK_AGE: u64 = 5;
+
+/// Follows the tracks of segments through the key frames and makes lines of them.
+#[derive(Debug, Default)]
+pub(super) struct LineMapper {
+    /// Where each live track was seen, oldest first.
+    tracks: BTreeMap<u64, Vec<Observation>>,
+    /// Lines on probation.
+    recent: Vec<LineId>,
+    /// What became of the candidates so far.
+    verification: Verification,
+}
+
+impl LineMapper {
+    /// Takes in the segments of a key frame that is in the map: culls young lines, makes new ones, joins the same.
+    pub fn extend(&mut self, map: &mut Map, id: KeyframeId, config: &SlamConfig) {
+        self.cull_recent(map, id, config);
+        self.follow_tracks(map, id);
+        let candidates: Vec<Vec<Observation>> = self.tracks_of(map, id);
+        for views in candidates {
+            self.extend_track(map, id, &views, config);
+        }
+        fusion::fuse_with_neighbours(map, id, config);
+    }
+
+    /// Forgets what is no longer in the map.
+    pub fn forget_missing(&mut self, map: &Map) {
+        self.recent.retain(|id| map.line(*id).is_some());
+        for views in self.tracks.values_mut() {
+            views.retain(|seen| map.keyframe(seen.keyframe).is_some());
+        }
+    }
+
+    fn follow_tracks(&mut self, map: &Map, id: KeyframeId) {
+        let Some(keyframe) = map.keyframe(id) else { return };
+        for (idx, segment) in keyframe.features.lines.iter().enumerate() {
+            let views = self.tracks.entry(segment.track).or_default();
+            views.push(Observation { keyframe: id, feature_idx: idx as u32 });
+            if views.len() > MAX_TRACK_VIEWS {
+                views.remove(0);
+            }
+        }
+        self.tracks.retain(|_, views| {
+            views.last().is_some_and(|seen| id.get().saturating_sub(seen.keyframe.get()) <= MAX_TRACK_AGE)
+        });
+    }
+
+    /// The tracks of the key frame's segments that see no line yet.
+    fn tracks_of(&self, map: &Map, id: KeyframeId) -> Vec<Vec<Observation>> {
+        let Some(keyframe) = map.keyframe(id) else { return Vec::new() };
+        let unexplained =
+            keyframe.features.lines.iter().zip(&keyframe.lines).filter(|(_, line)| line.is_none());
+        unexplained.filter_map(|(segment, _)| self.tracks.get(&segment.track).cloned()).collect()
+    }
+
+    /// Lets a track's newest segment see the line the track saw before, or makes a line of the track.
+    fn extend_track(&mut self, map: &mut Map, id: KeyframeId, views: &[Observation], config: &SlamConfig) {
+        let (Some(keyframe), Some(newest)) = (map.keyframe(id), views.last()) else { return };
+        let submap = keyframe.submap;
+        let known = views.iter().rev().find_map(|seen| {
+            map.keyframe(seen.keyframe).and_then(|seen_in| seen_in.lines[seen.feature_idx as usize])
+        });
+        if let Some(line_id) = known {
+            let agrees = map
+                .line(line_id)
+                .zip(TrackView::of(map, *newest))
+                .is_some_and(|(line, view)| self.verification.check(&line.endpoints, &view, &config.lines));
+            if agrees {
+                map.add_line_observation(line_id, *newest);
+            }
+            return;
+        }
+        let views: Vec<TrackView> = views
+            .iter()
+            .filter(|seen| map.keyframe(seen.keyframe).is_some_and(|keyframe| keyframe.submap == submap))
+            .filter_map(|seen| TrackView::of(map, *seen))
+            .collect();
+        let median_depth = super::median_depth(map, keyframe);
+        let made = triangulation::triangulate(&views, median_depth, &config.lines, &mut self.verification);
+        if let Some((place, observations)) = made {
+            self.recent.extend(map.add_line(&place, id, &observations));
+        }
+    }
+
+    /// Judges young lines: out if rarely found, or not seen by three key frames soon enough.
+    fn cull_recent(&mut self, map: &mut Map, newest: KeyframeId, config: &SlamConfig) {
+        self.recent.retain(|id| {
+            let Some(line) = map.line(*id) else { return false };
+            let age = newest.get().saturating_sub(line.created_by.get());
+            let unreliable = line.found_ratio() < config.lines.min_found_ratio;
+            let unconfirmed =
+                age >= config.lines.probation_keyframes && line.observations.len() < MIN_OBSERVATIONS;
+            if unreliable || unconfirmed {
+                map.remove_line(*id);
+                return false;
+            }
+            age <= config.lines.probation_keyframes
+        });
+    }
+}

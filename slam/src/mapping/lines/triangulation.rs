@@ -1,0 +1,184 @@
+//! A line of space from the segments of one track. [ALGORITHMS 5.4, 5.5]
+
+use super::extent::seen_part;
+use super::verification::Verification;
+use crate::bundle::anchored_line::AnchoredLine;
+use crate::bundle::factors::LineReprojectionFactor;
+use crate::config::LineConfig;
+use crate::features::LineFeature;
+use crate::map::{LinePlace, Map, Observation};
+use geometry::nalgebra::{Matrix4, Vector2, Vector3, Vector4};
+use geometry::{Line3, OrthonormalLine, Pinhole, Pose, line};
+use optim::{Factor, Kernel, Linearized, SingleOptions, UnaryGroup, chi2_95, optimize_single};
+
+/// Planes closer to one another than this, as a sine, are not even worth a try.
+const MIN_PLANE_SINE: f64 = 1e-3;
+/// Step of the difference quotients that lead from a line's parameters to depths, radians.
+const DIFFERENCE_STEP: f64 = 1e-6;
+
+/// A segment in the key frame that shows it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TrackView {
+    pub seen: Observation,
+    pub camera_from_world: Pose,
+    pub pinhole: Pinhole,
+    pub segment: LineFeature,
+}
+
+impl TrackView {
+    /// `None` if there is no such key frame.
+    pub fn of(map: &Map, seen: Observation) -> Option<Self> {
+        let keyframe = map.keyframe(seen.keyframe)?;
+        Some(Self {
+            seen,
+            camera_from_world: keyframe.camera_from_world,
+            pinhole: keyframe.features.pinhole,
+            segment: *keyframe.features.lines.get(seen.feature_idx as usize)?,
+        })
+    }
+
+    /// Unit normal, in the camera, of the plane that the camera's centre and the segment span.
+    fn plane_normal(&self) -> Option<Vector3<f64>> {
+        let [start, end] = [self.segment.start, self.segment.end].map(|end| self.pinhole.bearing(&end));
+        start.cross(&end).try_normalize(f64::MIN_POSITIVE)
+    }
+
+    fn factor(&self, anchored: &AnchoredLine) -> HeldPose {
+        HeldPose {
+            camera_from_world: self.camera_from_world,
+            factor: LineReprojectionFactor {
+                pinhole: self.pinhole,
+                start_px: self.segment.start,
+                end_px: self.segment.end,
+                inverse_sigma: 1.0 / self.segment.sigma_px,
+                origin: anchored.origin,
+            },
+        }
+    }
+}
+
+/// A line's reprojection with the camera held where it is.
+struct HeldPose {
+    camera_from_world: Pose,
+    factor: LineReprojectionFactor,
+}
+
+impl Factor for HeldPose {
+    type Residual = Vector2<f64>;
+    type Variables = (OrthonormalLine,);
+
+    fn residual(&self, (line,): (&OrthonormalLine,)) -> Option<Vector2<f64>> {
+        self.factor.residual((&self.camera_from_world, line))
+    }
+
+    fn linearize(&self, (line,): (&OrthonormalLine,)) -> Option<Linearized<Self>> {
+        let (residual, (_, d_residual_d_line)) = self.factor.linearize((&self.camera_from_world, line))?;
+        Some((residual, (d_residual_d_line,)))
+    }
+}
+
+/// The line that a track's views agree on and the views that do. `None` if the planes of no two views are far enough
+/// apart, or too few views agree.
+pub(super) fn triangulate(
+    views: &[TrackView],
+    median_depth: Option<f64>,
+    config: &LineConfig,
+    verification: &mut Verification,
+) -> Option<(LinePlace, Vec<Observation>)> {
+    if views.len() < config.min_views {
+        return None;
+    }
+    let (first, second) = best_pair(views)?;
+    let line = line::triangulate(
+        &first.camera_from_world,
+        &first.plane_normal()?,
+        &second.camera_from_world,
+        &second.plane_normal()?,
+    )?;
+    let rough = LinePlace { line, endpoints: seen_part(&line, &[*first, *second])? };
+    let (line, depth_sigma_share) = refine(&rough, views)?;
+    if depth_sigma_share > config.max_depth_sigma_share {
+        return None;
+    }
+    let endpoints = seen_part(&line, views)?;
+    let place = LinePlace { line: directed(&line, &endpoints)?, endpoints };
+    let middle = (endpoints[0] + endpoints[1]) / 2.0;
+    let depth = first.camera_from_world.transform(&middle).z;
+    if median_depth.is_some_and(|median| depth > config.max_depth_share * median) {
+        return None;
+    }
+    let agreeing: Vec<Observation> = views
+        .iter()
+        .filter(|view| verification.check(&place.endpoints, view, config))
+        .map(|view| view.seen)
+        .collect();
+    (agreeing.len() >= config.min_views).then_some((place, agreeing))
+}
+
+/// The two views whose planes cross at the largest angle; `None` if that is next to nothing.
+fn best_pair(views: &[TrackView]) -> Option<(&TrackView, &TrackView)> {
+    let normal = |view: &TrackView| {
+        view.plane_normal().map(|normal| view.camera_from_world.rotation.inverse() * normal)
+    };
+    let normals: Vec<Vector3<f64>> = views.iter().map(|view| normal(view).unwrap_or_default()).collect();
+    let mut best = (MIN_PLANE_SINE, None);
+    for (i, first) in normals.iter().enumerate() {
+        for (j, second) in normals.iter().enumerate().skip(i + 1) {
+            let sine = first.cross(second).norm();
+            if sine > best.0 {
+                best = (sine, Some((&views[i], &views[j])));
+            }
+        }
+    }
+    best.1
+}
+
+/// The line that agrees best with every view, poses held, and the standard deviation of its depth at the seen ends as
+/// a share of the depth. Large where the planes of all views nearly coincide: then nothing is known along the rays.
+fn refine(rough: &LinePlace, views: &[TrackView]) -> Option<(Line3, f64)> {
+    let anchored = AnchoredLine::new(rough)?;
+    let factors = views.iter().map(|view| view.factor(&anchored)).collect();
+    let mut group = UnaryGroup::new(Kernel::huber_95(2), chi2_95(2), factors);
+    let report =
+        optimize_single::<OrthonormalLine, 4>(&anchored.line, &mut [&mut group], &SingleOptions::default());
+    let line = anchored.line_in_world(&report.value)?;
+    let covariance = report.information.try_inverse()?;
+    let view = views.first()?;
+    let share = [view.segment.start, view.segment.end]
+        .map(|pixel| depth_sigma_share(&anchored, &report.value, &covariance, view, &pixel))
+        .into_iter()
+        .try_fold(0.0f64, |worst, share| Some(worst.max(share?)))?;
+    Some((line, share))
+}
+
+/// Standard deviation of the depth at which a view's ray meets the line, as a share of that depth.
+fn depth_sigma_share(
+    anchored: &AnchoredLine,
+    line: &OrthonormalLine,
+    covariance: &Matrix4<f64>,
+    view: &TrackView,
+    pixel: &Vector2<f64>,
+) -> Option<f64> {
+    let ray = view.camera_from_world.rotation.inverse() * view.pinhole.bearing(pixel);
+    let centre = view.camera_from_world.centre();
+    let distance = |line: &OrthonormalLine| {
+        let line = anchored.line_in_world(line)?;
+        Some((line.at(line.parameter_nearest_to_ray(&centre, &ray)?) - centre).dot(&ray))
+    };
+    let at = distance(line)?;
+    let mut gradient = Vector4::zeros();
+    for axis in 0..4 {
+        let step = Vector4::ith(axis, DIFFERENCE_STEP);
+        gradient[axis] = (distance(&line.retract(&step))? - at) / DIFFERENCE_STEP;
+    }
+    let variance = gradient.dot(&(covariance * gradient));
+    (at > 0.0 && variance >= 0.0).then(|| variance.sqrt() / at)
+}
+
+/// The same line with its direction from the first end to the second.
+pub(crate) fn directed(line: &Line3, endpoints: &[Vector3<f64>; 2]) -> Option<Line3> {
+    if line.direction().dot(&(endpoints[1] - endpoints[0])) >= 0.0 {
+        return Some(*line);
+    }
+    Line3::from_pluecker(&-line.moment(), &-line.direction())
+}
