@@ -1,0 +1,89 @@
+//! Where edges are followed from: pixels on the crest of the gradient across the edge.
+
+use crate::lines::gradient::{Gradients, UNITS_PER_LEVEL};
+
+/// An anchor's gradient exceeds those of its two neighbours across the edge by this in all, grey levels per pixel.
+const MIN_PROMINENCE: i16 = UNITS_PER_LEVEL as i16;
+/// Every so-many-th pixel along an edge may be an anchor; one is enough to find the edge.
+const STEP: usize = 2;
+/// Magnitudes are sorted into bins of 256.
+const BIN_SHIFT: u32 = 8;
+const N_BINS: usize = 128;
+
+/// Finds anchors; keeps its buffers.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Anchors {
+    /// Per pixel of a row, 1 for an anchor.
+    flags: Vec<u8>,
+    found: Vec<u32>,
+    sorted: Vec<u32>,
+}
+
+impl Anchors {
+    /// The anchors of an image as pixel indices, those with the largest gradient first (up to the width of a bin), in
+    /// reading order otherwise.
+    pub fn find(&mut self, gradients: &Gradients, min_magnitude: i16) -> &[u32] {
+        let (width, height) = (gradients.width, gradients.height);
+        self.found.clear();
+        if width < 3 {
+            self.sorted.clear();
+            return &self.sorted;
+        }
+        for y in 1..height.saturating_sub(1) {
+            self.flag_row(gradients, y, min_magnitude);
+            let on_row = y % STEP == 0;
+            for (chunk_index, chunk) in self.flags.chunks(8).enumerate() {
+                if chunk.iter().all(|&flag| flag == 0) {
+                    continue;
+                }
+                for (i, &flag) in chunk.iter().enumerate() {
+                    let x = 1 + 8 * chunk_index + i;
+                    // Edges that run along x are cut by columns, the others by rows.
+                    if flag == 1 && x % STEP == 0 || flag == 2 && on_row {
+                        self.found.push((y * width + x) as u32);
+                    }
+                }
+            }
+        }
+        self.sort(gradients)
+    }
+
+    /// Flags pixels 1 to `width - 2` of row `y`: 1 for an anchor on an edge along x, 2 along y, 0 for none.
+    fn flag_row(&mut self, gradients: &Gradients, y: usize, min_magnitude: i16) {
+        let n = gradients.width - 2;
+        let at = y * gradients.width + 1;
+        let around = |start: usize| &gradients.magnitude[start..][..n];
+        let (centre, left, right) = (around(at), around(at - 1), around(at + 1));
+        let (above, below) = (around(at - gradients.width), around(at + gradients.width));
+        let (gx, gy) = (&gradients.x[at..][..n], &gradients.y[at..][..n]);
+        self.flags.resize(n, 0);
+        for (i, flag) in self.flags.iter_mut().enumerate() {
+            let along_x = gy[i].abs() > gx[i].abs();
+            let (before, after) = if along_x { (above[i], below[i]) } else { (left[i], right[i]) };
+            let (before, after) = (centre[i] - before, centre[i] - after);
+            // An edge half way between two pixels is equally strong on both.
+            let is_peak = before >= 0 && after >= 0 && before.saturating_add(after) >= MIN_PROMINENCE;
+            let is_anchor = centre[i] >= min_magnitude && is_peak;
+            *flag = if is_anchor { if along_x { 1 } else { 2 } } else { 0 };
+        }
+    }
+
+    /// Sorts what was found by counting.
+    fn sort(&mut self, gradients: &Gradients) -> &[u32] {
+        let bin = |anchor: u32| N_BINS - 1 - (gradients.magnitude[anchor as usize] >> BIN_SHIFT) as usize;
+        let mut starts = [0usize; N_BINS + 1];
+        for &anchor in &self.found {
+            starts[bin(anchor) + 1] += 1;
+        }
+        for i in 1..starts.len() {
+            starts[i] += starts[i - 1];
+        }
+        self.sorted.resize(self.found.len(), 0);
+        for &anchor in &self.found {
+            let slot = &mut starts[bin(anchor)];
+            self.sorted[*slot] = anchor;
+            *slot += 1;
+        }
+        &self.sorted
+    }
+}
