@@ -37,6 +37,7 @@ mod pyramid;
 pub mod scale;
 #[cfg(test)]
 mod test_images;
+pub mod vanishing;
 
 pub use crate::grid::{GridBounds, KeypointGrid};
 pub use crate::image::{GrayImage, ImageError, ImageStatistics};

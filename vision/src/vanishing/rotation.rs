@@ -1,0 +1,56 @@
+//! The camera's rotation from directions seen in it.
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+
+use super::plane::unit;
+
+/// The sine of 20 degrees: two directions nearer to parallel than this leave the turn about them too uncertain.
+const MIN_SIN_BETWEEN: f64 = 0.342_02;
+
+/// A direction known in the world and seen by the camera. Neither need be of unit length, and signs do not matter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DirectionPair {
+    /// In the world.
+    pub in_world: Vector3<f64>,
+    /// In the camera.
+    pub in_camera: Vector3<f64>,
+    /// Inverse variance of the angle between the two, up to a common factor. Positive.
+    pub weight: f64,
+}
+
+/// The rotation `camera_from_world` that turns the directions of the world best into those seen: `argmin sum w |c - R
+/// d|²` [Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976].
+///
+/// Directions have no sign: each pair's is taken such that `predicted` turns one to within 90 degrees of the other,
+/// so the prediction must be right to 45 degrees or so. Pairs that are not finite or weigh nothing are passed over;
+/// `None` if no two directions at least 20 degrees apart remain.
+pub fn rotation_from_directions(
+    pairs: &[DirectionPair],
+    predicted: &UnitQuaternion<f64>,
+) -> Option<UnitQuaternion<f64>> {
+    let mut first: Option<Vector3<f64>> = None;
+    let mut is_determined = false;
+    let mut correlation = Matrix3::zeros();
+    let largest_weight = pairs.iter().map(|pair| pair.weight).filter(|w| w.is_finite()).fold(0.0, f64::max);
+    for pair in pairs {
+        let (Some(in_world), Some(in_camera)) = (unit(&pair.in_world), unit(&pair.in_camera)) else {
+            continue;
+        };
+        if !(pair.weight.is_finite() && pair.weight > 0.0) {
+            continue;
+        }
+        let sign = if in_camera.dot(&(predicted * in_world)) < 0.0 { -1.0 } else { 1.0 };
+        correlation += in_camera * in_world.transpose() * (sign * pair.weight / largest_weight);
+        let first = first.get_or_insert(in_world);
+        is_determined |= first.cross(&in_world).norm() >= MIN_SIN_BETWEEN;
+    }
+    if !is_determined {
+        return None;
+    }
+    let svd = correlation.try_svd(true, true, f64::EPSILON, 100)?;
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let handedness = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+    let rotation = Rotation3::from_matrix_unchecked(u * handedness * v_t);
+    let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
+    rotation.coords.iter().all(|x| x.is_finite()).then_some(rotation)
+}
