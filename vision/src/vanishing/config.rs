@@ -12,9 +12,12 @@ pub struct VanishingConfig {
     /// Directions tried, known ones included; 300 to 500 are enough, since all are refined. At least 1. Default 500.
     pub n_hypotheses: usize,
     /// A segment accepts a direction that its endpoints deviate from by no more than this, each to its side of the
-    /// line from its middle to the vanishing point, in standard deviations of an endpoint: 1.5 pixels for endpoints
-    /// known to 1 pixel. The two move by `1 / sqrt 2` of that together, so that this is 2.1 standard deviations
-    /// (97 %) of the residual. Lower values split bundles in two, higher ones take in strangers. Default 1.5.
+    /// line from its middle to the vanishing point, in standard deviations of an endpoint (2 pixels for endpoints
+    /// known to 1 pixel). Noise alone moves them by `1 / sqrt 2`, but the direction is uncertain as well.
+    ///
+    /// Default 2. Over 100 scenes of 3 x 40 segments and 30 others: 1.5 left 0.18 duplicates a scene and errors up to
+    /// 2.6 degrees, 2 left 0.05 and 1.4 degrees; 2.3 does no better there, and misses a third of the directions of
+    /// 15 segments under 60 pixels where 2 misses a fifth.
     pub max_deviation: f64,
     /// Vanishing points need this many segments. Chance must be excluded all the same, see
     /// `max_log10_false_alarms`. At least 3. Default 5.
@@ -44,7 +47,7 @@ impl Default for VanishingConfig {
         Self {
             max_segments: 200,
             n_hypotheses: 500,
-            max_deviation: 1.5,
+            max_deviation: 2.0,
             min_segments: 5,
             min_segments_known: 3,
             max_log10_false_alarms: -1.0,
@@ -113,5 +116,22 @@ impl VanishingConfig {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_makes_no_sense_is_named() {
+        let good = VanishingConfig::default();
+        assert_eq!(good.validate(), Ok(()));
+        let without_hypotheses = VanishingConfig { n_hypotheses: 0, ..good };
+        let error = without_hypotheses.validate().unwrap_err();
+        assert_eq!(error.to_string(), "`n_hypotheses` is 0, but must be 1 to 10000");
+        for max_deviation in [f64::NAN, 0.0, -1.0, f64::INFINITY] {
+            assert!(VanishingConfig { max_deviation, ..good }.validate().is_err(), "{max_deviation}");
+        }
     }
 }

@@ -216,3 +216,69 @@ impl Linkage {
         self.alive.iter().filter_map(cluster).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    /// The definition, without any of the bookkeeping.
+    fn link_naively(planes: &[SegmentPlane], hypotheses: &[Vector3<f64>], gate2: f64) -> Vec<Vec<u32>> {
+        let mut clusters: Vec<(Vec<u32>, Vec<bool>)> = (0..)
+            .zip(planes)
+            .map(|(idx, plane)| {
+                (vec![idx], hypotheses.iter().map(|d| plane.excess(d, gate2) <= 0.0).collect())
+            })
+            .collect();
+        loop {
+            let mut best: Option<(u64, u64, usize, usize)> = None;
+            for i in 0..clusters.len() {
+                for j in i + 1..clusters.len() {
+                    let pairs = || clusters[i].1.iter().zip(&clusters[j].1);
+                    let common = pairs().filter(|(a, b)| **a && **b).count() as u64;
+                    let union = pairs().filter(|(a, b)| **a || **b).count() as u64;
+                    if common > 0 && best.is_none_or(|best| common * best.1 > best.0 * union) {
+                        best = Some((common, union, i, j));
+                    }
+                }
+            }
+            let Some((_, _, i, j)) = best else { break };
+            let (members, bits) = clusters.remove(j);
+            clusters[i].0.extend(members);
+            clusters[i].1.iter_mut().zip(bits).for_each(|(bit, other)| *bit &= other);
+        }
+        for (members, _) in &mut clusters {
+            members.sort_unstable();
+        }
+        clusters.into_iter().map(|(members, _)| members).collect()
+    }
+
+    #[test]
+    fn links_as_defined() {
+        let mut linkage = Linkage::default();
+        for seed in 0..20 {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let mut ray = || Vector3::from_fn(|_, _| rng.random_range(-1.0..1.0));
+            let planes: Vec<_> = (0..25)
+                .filter_map(|_| {
+                    let from = ray();
+                    SegmentPlane::from_rays(&from, &(from + ray() * 0.3), 0.02)
+                })
+                .collect();
+            let hypotheses: Vec<_> = (0..100).map(|_| ray().normalize()).collect();
+            let expected: Vec<_> =
+                link_naively(&planes, &hypotheses, 4.0).into_iter().filter(|c| c.len() >= 2).collect();
+            assert!(!expected.is_empty());
+            let clusters = linkage.link(&planes, &hypotheses, 4.0, 2);
+            let members: Vec<_> = clusters.iter().map(|cluster| cluster.members.clone()).collect();
+            assert_eq!(members, expected, "seed {seed}");
+            for cluster in clusters {
+                for member in cluster.members {
+                    assert!(planes[member as usize].excess(&cluster.direction, 4.0) <= 0.0);
+                }
+            }
+        }
+    }
+}

@@ -54,3 +54,46 @@ pub fn rotation_from_directions(
     let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
     rotation.coords.iter().all(|x| x.is_finite()).then_some(rotation)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pair(in_world: Vector3<f64>, in_camera: Vector3<f64>) -> DirectionPair {
+        DirectionPair { in_world, in_camera, weight: 2.0 }
+    }
+
+    #[test]
+    fn two_directions_of_any_sign_give_the_rotation() {
+        let truth = UnitQuaternion::from_euler_angles(0.5, -1.1, 2.0);
+        let predicted = UnitQuaternion::from_euler_angles(0.05, 0.1, -0.1) * truth;
+        let (a, b) = (Vector3::new(1.0, 0.2, 0.0), Vector3::new(0.5, 0.1, 3.0));
+        let pairs = [pair(a, truth * a * -4.0), pair(-b, truth * b)];
+        let found = rotation_from_directions(&pairs, &predicted).unwrap();
+        assert!(found.angle_to(&truth) < 1e-7);
+        let useless = pair(Vector3::new(f64::NAN, 0.0, 0.0), a);
+        let weightless = DirectionPair { weight: f64::NAN, ..pair(a, b) };
+        let with_bad = [pairs[0], useless, weightless, pairs[1]];
+        assert_eq!(rotation_from_directions(&with_bad, &predicted), Some(found));
+    }
+
+    #[test]
+    fn the_better_known_direction_counts_more() {
+        // Two axes seen one degree too near to one another: the rotation must follow the heavier of them.
+        let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 1_f64.to_radians());
+        let heavy = DirectionPair { weight: 1e6, ..pair(Vector3::x(), turned * Vector3::x()) };
+        let pairs = [heavy, pair(Vector3::y(), Vector3::y())];
+        let found = rotation_from_directions(&pairs, &UnitQuaternion::identity()).unwrap();
+        assert!(found.angle_to(&turned) < 1e-4);
+    }
+
+    #[test]
+    fn parallel_directions_are_not_enough() {
+        let near = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 15_f64.to_radians());
+        let (a, b) = (Vector3::x(), near * Vector3::x());
+        let identity = UnitQuaternion::identity();
+        assert_eq!(rotation_from_directions(&[], &identity), None);
+        assert_eq!(rotation_from_directions(&[pair(a, a)], &identity), None);
+        assert_eq!(rotation_from_directions(&[pair(a, a), pair(b, b), pair(-a, a)], &identity), None);
+    }
+}
