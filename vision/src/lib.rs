@@ -5,6 +5,7 @@
 //! - [`OrbExtractor`]: scale pyramid, FAST corners spread over the image, orientation, steered BRIEF; gives [`Features`].
 //! - [`KeypointGrid`] and [`matching`]: windowed and exhaustive matching; [`place::PlaceIndex`]: which stored image
 //!   shows the same place.
+//! - [`vanishing`]: vanishing points of segments, found and followed, and the rotation they give.
 //!
 //! The crate knows nothing of cameras, maps or files: coordinates are pixels of the image as given (distorted, if the
 //! lens distorts), pixel centres at integers, the origin at the centre of the top-left pixel, x right, y down.
