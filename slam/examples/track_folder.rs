@@ -1,13 +1,13 @@
 //! Runs the engine alone over a recording and writes the trajectory, for work on the engine itself.
 //!
-//! `cargo run --release -p slam --example track_folder -- DATASET OUT.txt [--inline] [--seed N] [--verbose]`
+//! `cargo run --release -p slam --example track_folder -- DATASET OUT.txt [--inline] [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--verbose]`
 //!
 //! The dataset is a folder with `rgb.txt` and `calib.json`. Everything else (other layouts, the service, evaluation)
 //! is the business of `monoslam`.
 
 use geometry::{Camera, CameraModel, CameraParameters, Pose};
 use slam::map::{FrameRecord, FrameState};
-use slam::{Clock, Frame, Pipeline, ResumeState, SlamConfig, Threading};
+use slam::{Clock, FeatureSwitches, Frame, Pipeline, ResumeState, SlamConfig, Threading};
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt::Write as _;
@@ -41,6 +41,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let config = SlamConfig {
         threading: if flag("--inline") { Threading::Inline } else { Threading::Background },
         seed: value("--seed").map_or(Ok(0), |seed| seed.parse())?,
+        features: FeatureSwitches {
+            lines: !flag("--no-lines"),
+            global_primitives: !flag("--no-lines") && !flag("--no-primitives"),
+            loop_closing: !flag("--no-loops"),
+        },
         ..SlamConfig::default()
     };
     let camera = read_camera(dataset)?;
@@ -64,10 +69,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         })?;
         if flag("--verbose") {
             println!(
-                "{sequence} {:?} keypoints {} inliers {} keyframe {} relocalised {} {:.1} ms {}",
+                "{sequence} {:?} keypoints {} inliers {} segments {} lines {} keyframe {} relocalised {} {:.1} ms {}",
                 report.outcome.state(),
                 report.n_keypoints,
                 report.n_inlier_points,
+                report.n_segments,
+                report.n_inlier_lines,
                 report.is_keyframe,
                 report.relocalised,
                 report.wall_ns as f64 * 1e-6,
@@ -109,7 +116,17 @@ fn main() -> Result<(), Box<dyn Error>> {
     std::fs::write(out, text)?;
 
     println!("frames {} posed {n_posed} backfilled {n_backfilled} {counts:?}", frames.len());
-    println!("key frames {} (made {}) points {}", map.n_keyframes(), map.last_ids().keyframe, map.n_points());
+    let made = map.last_ids();
+    println!(
+        "key frames {} (made {}) points {} lines {} (made {}) primitives {} (made {})",
+        map.n_keyframes(),
+        made.keyframe,
+        map.n_points(),
+        map.n_lines(),
+        made.line,
+        map.n_primitives(),
+        made.primitive,
+    );
     println!("cpu ms: {} wall ms: {} total {elapsed:.1} s", summary(&mut cpu_ms), summary(&mut wall_ms));
     for (name, times) in &mut stage_ms {
         println!("  {name}: {}", summary(times));

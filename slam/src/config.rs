@@ -3,6 +3,7 @@
 use crate::features::PyramidGeometry;
 use geometry::Camera;
 use vision::OrbConfig;
+use vision::lines::LineDetectorConfig;
 
 /// How the stages of a session share the machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -304,6 +305,8 @@ impl Default for MappingConfig {
 /// Following and mapping lines. [ALGORITHMS 3, 5; paper, "Global Structure Association"]
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineConfig {
+    /// How segments are detected.
+    pub detector: LineDetectorConfig,
     /// Least standard deviation of a segment's ends across it, pixels. Default 1.0: edges are straight and cameras
     /// calibrated to no better.
     pub min_sigma_px: f64,
@@ -347,6 +350,7 @@ pub struct LineConfig {
 impl Default for LineConfig {
     fn default() -> Self {
         Self {
+            detector: LineDetectorConfig::default(),
             min_sigma_px: 1.0,
             search_radius_px: 8.0,
             search_angle_deg: 8.0,

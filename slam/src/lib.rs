@@ -7,6 +7,7 @@ pub mod bundle;
 pub mod clock;
 pub mod config;
 pub mod features;
+mod front_end;
 mod initialisation;
 pub mod map;
 mod mapping;

@@ -3,7 +3,7 @@
 use crate::backfill::Backfill;
 use crate::clock::{Clock, Stopwatch};
 use crate::config::{ConfigError, SlamConfig, Threading};
-use crate::features::FrameFeatures;
+use crate::front_end::FrontEnd;
 use crate::initialisation::{InitialPair, Initialiser, View};
 use crate::map::{
     FramePose, FrameRecord, FrameState, KeyframeId, Map, MapError, MapParts, MapUpdate, SubmapId,
@@ -15,7 +15,8 @@ use crate::tracking::frame::{Inliers, TrackedFrame};
 use crate::tracking::{Tracked, Tracker};
 use geometry::{Camera, Pose};
 use std::sync::Arc;
-use vision::{GrayImage, OrbExtractor, scale};
+use vision::GrayImage;
+use vision::lines::LineTrackingStatistics;
 
 /// One image of the stream.
 #[derive(Clone, Debug)]
@@ -95,9 +96,8 @@ const MIN_KEYFRAMES_TO_KEEP: usize = 6;
 pub struct Pipeline {
     config: SlamConfig,
     camera: Camera,
-    working_camera: Camera,
     clock: Arc<dyn Clock>,
-    extractor: OrbExtractor,
+    front_end: FrontEnd,
     mapping: MappingStage,
     /// The map as tracking sees it at present.
     map: Arc<Map>,
@@ -146,8 +146,10 @@ impl Pipeline {
     ) -> Result<Self, ResumeError> {
         config.validate()?;
         let map = Map::from_parts(state.map)?;
-        let extractor = OrbExtractor::new(config.orb)
-            .map_err(|error| ConfigError { field: "orb", reason: error.to_string() })?;
+        // Numbers of tracks begin anew with each run and must not meet those of stored key frames.
+        let segments = map.keyframes().flat_map(|keyframe| &keyframe.features.lines);
+        let first_track = segments.map(|segment| segment.track + 1).max().unwrap_or(0);
+        let front_end = FrontEnd::new(&config, &camera, first_track)?;
         let mapper = Mapper::new(config.clone(), map.clone());
         let mapping = match config.threading {
             Threading::Inline => MappingStage::inline(mapper),
@@ -160,10 +162,9 @@ impl Pipeline {
         tracker.adopt(&map);
         let is_empty = map.n_keyframes() == 0;
         let mut pipeline = Self {
-            working_camera: config.working_camera(&camera),
             camera,
             clock,
-            extractor,
+            front_end,
             mapping,
             tracker,
             initialiser: is_empty.then(|| Initialiser::new(config.initialisation.clone(), config.seed)),
@@ -191,8 +192,7 @@ impl Pipeline {
         self.last_frame = Some((frame.sequence, frame.timestamp_ns));
         let mut stopwatch = Stopwatch::start(self.clock.clone());
 
-        let view = self.extract(&frame);
-        stopwatch.lap("extract");
+        let (view, line_statistics) = self.extract(&frame, &mut stopwatch);
         self.adopt_map();
         stopwatch.lap("adopt");
         let mut verdict = if self.initialiser.is_some() { self.initialise(&view) } else { self.track(&view) };
@@ -203,7 +203,7 @@ impl Pipeline {
         self.step_backfill(&view, &verdict);
         stopwatch.lap("backfill");
 
-        Ok(self.report(&view, verdict, stopwatch))
+        Ok(self.report(&view, verdict, line_statistics, stopwatch))
     }
 
     /// The map updates that are ready to be stored, oldest first. Call after each frame.
@@ -259,15 +259,15 @@ impl Pipeline {
         Ok(())
     }
 
-    fn extract(&mut self, frame: &Frame) -> View {
-        let (width, height) = (self.working_camera.width(), self.working_camera.height());
-        let extracted = if (frame.image.width(), frame.image.height()) == (width, height) {
-            self.extractor.extract(&frame.image)
-        } else {
-            self.extractor.extract(&scale::resize_area(&frame.image, width, height))
-        };
-        let features = FrameFeatures::from_extracted(extracted, &self.working_camera, self.config.pyramid());
-        View { sequence: frame.sequence, timestamp_ns: frame.timestamp_ns, features: Arc::new(features) }
+    fn extract(&mut self, frame: &Frame, stopwatch: &mut Stopwatch) -> (View, LineTrackingStatistics) {
+        let image = self.front_end.working_image(&frame.image);
+        let features = self.front_end.extract_points(&image);
+        stopwatch.lap("points");
+        let rotation = self.tracker.expected_rotation(frame.timestamp_ns);
+        let (features, statistics) = self.front_end.extract_lines(&image, features, rotation);
+        stopwatch.lap("lines");
+        let (sequence, timestamp_ns) = (frame.sequence, frame.timestamp_ns);
+        (View { sequence, timestamp_ns, features: Arc::new(features) }, statistics)
     }
 
     fn adopt_map(&mut self) {
@@ -432,7 +432,13 @@ impl Pipeline {
         }
     }
 
-    fn report(&self, view: &View, verdict: Verdict, stopwatch: Stopwatch) -> FrameReport {
+    fn report(
+        &self,
+        view: &View,
+        verdict: Verdict,
+        line_tracking: LineTrackingStatistics,
+        stopwatch: Stopwatch,
+    ) -> FrameReport {
         let times = stopwatch.finish();
         FrameReport {
             sequence: view.sequence,
@@ -441,6 +447,8 @@ impl Pipeline {
             submap: verdict.frame.as_ref().map_or(self.submap, |frame| frame.submap),
             outcome: verdict.outcome,
             n_keypoints: view.features.len(),
+            n_segments: view.features.lines.len(),
+            line_tracking,
             n_inlier_points: verdict.inliers.n_points,
             n_inlier_lines: verdict.inliers.n_lines,
             is_keyframe: verdict.is_keyframe,
@@ -462,7 +470,7 @@ impl Pipeline {
             Some(_) => self.config.initialisation.n_features.max(self.config.orb.n_features),
             None => self.config.orb.n_features,
         };
-        self.extractor.set_n_features(n_features);
+        self.front_end.set_n_features(n_features);
     }
 }
 

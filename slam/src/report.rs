@@ -2,6 +2,7 @@
 
 use crate::map::{FrameState, SubmapId};
 use geometry::Pose;
+use vision::lines::LineTrackingStatistics;
 
 /// Why there is no map yet. Its text is written for the person who holds the camera.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -158,6 +159,10 @@ pub struct FrameReport {
     pub submap: SubmapId,
     /// Keypoints found in the image.
     pub n_keypoints: usize,
+    /// Segments followed into the image or begun in it.
+    pub n_segments: usize,
+    /// What became of the last image's segments and of those detected, reason by reason.
+    pub line_tracking: LineTrackingStatistics,
     /// Points that agree with the pose.
     pub n_inlier_points: usize,
     /// Lines that agree with the pose.

@@ -17,6 +17,7 @@ use crate::map::{FramePose, KeyframeId, Map, SubmapId};
 use crate::report::{LostReason, TrackingOutcome};
 use frame::{Inliers, TrackedFrame};
 use geometry::Pose;
+use geometry::nalgebra::UnitQuaternion;
 use keyframe_policy::LastKeyframe;
 use lines::LineTracks;
 use local_map::LocalMap;
@@ -104,6 +105,12 @@ impl Tracker {
             }
             None => self.last = None,
         }
+    }
+
+    /// How much the camera should have turned since the last frame, if it was placed and the motion is known.
+    pub fn expected_rotation(&self, timestamp_ns: i64) -> Option<UnitQuaternion<f64>> {
+        let last = self.last.as_ref().filter(|last| last.motion.is_some())?;
+        Some(last.predict(timestamp_ns).rotation * last.frame.camera_from_world.rotation.inverse())
     }
 
     /// The last frame, if it was placed.

@@ -1,0 +1,92 @@
+//! Segments of an image, followed from the image before, without lens distortion.
+
+use crate::config::{ConfigError, LineConfig, SlamConfig};
+use crate::features::LineFeature;
+use geometry::Camera;
+use geometry::nalgebra::{Matrix2, SymmetricEigen, UnitQuaternion, Vector2};
+use vision::GrayImage;
+use vision::lines::{
+    LineOrigin, LineTracker, LineTrackerConfig, LineTrackingStatistics, Segment, SegmentDetector,
+    TrackedLine, detector,
+};
+
+/// Distance of the places at which a segment is undistorted, pixels: lens models bend little between them.
+const UNDISTORTION_STEP_PX: f32 = 16.0;
+/// The same at most, for segments across the whole image.
+const MAX_UNDISTORTION_STEPS: usize = 32;
+/// Flow moves a segment less precisely than a detector finds it. [ALGORITHMS 3.2]
+const FLOW_SIGMA_FACTOR: f64 = 1.5;
+
+/// Detects segments, follows them and takes the lens distortion out.
+pub(super) struct LineFrontEnd {
+    camera: Camera,
+    config: LineConfig,
+    detector: Box<dyn SegmentDetector>,
+    tracker: LineTracker,
+    first_track: u64,
+}
+
+impl LineFrontEnd {
+    pub fn new(config: &SlamConfig, camera: &Camera, first_track: u64) -> Result<Self, ConfigError> {
+        let refuse = |reason: String| ConfigError { field: "lines", reason };
+        let detector = detector(config.lines.detector).map_err(|error| refuse(error.to_string()))?;
+        let tracker =
+            LineTracker::new(LineTrackerConfig::default()).map_err(|error| refuse(error.to_string()))?;
+        Ok(Self { camera: camera.clone(), config: config.lines.clone(), detector, tracker, first_track })
+    }
+
+    pub fn extract(
+        &mut self,
+        image: &GrayImage,
+        now_from_last: Option<UnitQuaternion<f64>>,
+    ) -> (Vec<LineFeature>, LineTrackingStatistics) {
+        let detected = self.detector.detect(image);
+        let camera = &self.camera;
+        let turned = now_from_last.map(|rotation| move |pixel| turn(camera, &rotation, &pixel));
+        let prior = turned.as_ref().map(|turned| turned as &dyn Fn(Vector2<f32>) -> Vector2<f32>);
+        let tracked = self.tracker.track(image, detected, prior);
+        let lines = tracked.lines.iter().filter_map(|line| self.feature(line)).collect();
+        (lines, tracked.statistics)
+    }
+
+    fn feature(&self, line: &TrackedLine) -> Option<LineFeature> {
+        let (start, end, bow_px) = undistort(&line.segment, &self.camera)?;
+        let factor = if line.origin == LineOrigin::Flowed { FLOW_SIGMA_FACTOR } else { 1.0 };
+        let sigma_px = f64::from(line.segment.sigma_px).hypot(bow_px).max(self.config.min_sigma_px) * factor;
+        let track = self.first_track + line.track;
+        Some(LineFeature { start, end, sigma_px, descriptor: line.descriptor, track })
+    }
+}
+
+/// Where a pixel of the last image appears after a rotation, if it lies far away; itself where that is outside what the
+/// lens can show.
+fn turn(camera: &Camera, now_from_last: &UnitQuaternion<f64>, pixel: &Vector2<f32>) -> Vector2<f32> {
+    let bearing = camera.unproject(&pixel.cast());
+    let moved = bearing.and_then(|bearing| camera.project(&(now_from_last * bearing)));
+    moved.map_or(*pixel, |moved| moved.cast())
+}
+
+/// The straight line through the undistorted places along a segment, cut where its ends are, and the root mean square
+/// distance of those places from it, pixels. `None` where the lens model has no inverse.
+fn undistort(segment: &Segment, camera: &Camera) -> Option<(Vector2<f64>, Vector2<f64>, f64)> {
+    let (start, end) = (camera.undistort(&segment.start.cast())?, camera.undistort(&segment.end.cast())?);
+    if !camera.is_distorted() {
+        return Some((start, end, 0.0));
+    }
+    let n_steps =
+        ((segment.length() / UNDISTORTION_STEP_PX).ceil() as usize).clamp(2, MAX_UNDISTORTION_STEPS);
+    let places = (0..=n_steps)
+        .map(|step| {
+            let share = step as f32 / n_steps as f32;
+            camera.undistort(&(segment.start + segment.vector() * share).cast())
+        })
+        .collect::<Option<Vec<Vector2<f64>>>>()?;
+    let n = places.len() as f64;
+    let centre = places.iter().sum::<Vector2<f64>>() / n;
+    let scatter: Matrix2<f64> =
+        places.iter().map(|place| (place - centre) * (place - centre).transpose()).sum::<Matrix2<f64>>() / n;
+    let eigen = SymmetricEigen::new(scatter);
+    let along = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
+    let on_line = |end: Vector2<f64>| centre + along * along.dot(&(end - centre));
+    Some((on_line(start), on_line(end), eigen.eigenvalues.min().max(0.0).sqrt()))
+}
