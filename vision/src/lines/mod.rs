@@ -1,5 +1,25 @@
 //! Line segments: finding, describing and following them.
 
+mod clip;
+mod descriptor;
+mod flow;
+mod matching;
+mod merging;
+mod moments;
+mod sampling;
 mod segment;
+mod support;
+#[cfg(test)]
+mod test_scenes;
+mod tracking;
 
+pub use descriptor::LineDescriber;
+pub use flow::{FlowFailure, FlowPyramid, FlowedSegment, LineFlow, LineFlowConfig, MotionPrior};
+pub use matching::{DescribedLines, LineGates, LineMatchConfig, match_lines};
+pub use merging::{LineMergeConfig, MergedLines, merge_collinear, merge_pair};
 pub use segment::Segment;
+pub use support::EdgeSupportConfig;
+pub use tracking::{
+    LineOrigin, LineTracker, LineTrackerConfig, LineTrackerConfigError, LineTrackingStatistics, LostLines,
+    TrackedLine, TrackedLines,
+};
