@@ -28,7 +28,8 @@ impl Frame {
 
     /// The part of `segment` inside, if there is any; its direction stays.
     pub fn clip(&self, segment: &Segment) -> Option<Segment> {
-        if !segment.is_finite() {
+        let is_empty = (0..2).any(|axis| self.min[axis] > self.max[axis]);
+        if is_empty || !segment.is_finite() {
             return None;
         }
         let vector = segment.vector();
@@ -81,7 +82,7 @@ mod tests {
         let frame = Frame::of_image(101, 51);
         for (start, end) in [
             ((-5.0, 3.0), (-5.0, 40.0)),
-            ((-10.0, 20.0), (20.0, -30.0)),
+            ((-10.0, 5.0), (20.0, -30.0)),
             ((f32::NAN, 0.0), (4.0, 4.0)),
             ((f32::MAX, 0.0), (-f32::MAX, 4.0)),
         ] {

@@ -52,10 +52,12 @@ pub struct MergedLines {
 /// as they are.
 pub fn merge_collinear(image: &GrayImage, segments: &[Segment], config: &LineMergeConfig) -> MergedLines {
     let probe = EdgeProbe::new(Sampler::new(image), &config.support);
-    let mut pieces: Vec<Piece> = segments.iter().enumerate().map(Piece::new).collect();
+    let (mut pieces, nonsense): (Vec<Piece>, Vec<Piece>) =
+        segments.iter().enumerate().map(Piece::new).partition(|piece| piece.segment.is_finite());
     // Each of `pieces` that was merged away points to the one it went into.
     let mut parent: Vec<usize> = (0..segments.len()).collect();
     while merge_once(&mut pieces, &mut parent, &probe, config) {}
+    pieces.extend(nonsense);
     pieces.sort_unstable_by_key(|piece| piece.index);
     let mut merged_idx = vec![0; segments.len()];
     for (merged, piece) in pieces.iter().enumerate() {
@@ -179,4 +181,103 @@ pub fn merge_pair(a: &Segment, b: &Segment) -> Segment {
         gradient: mean(a.gradient, b.gradient),
     };
     if merged.is_finite() { merged } else { *longer }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn segment(start: (f32, f32), end: (f32, f32)) -> Segment {
+        let vector = |(x, y)| Vector2::new(x, y);
+        Segment { start: vector(start), end: vector(end), sigma_px: 0.3, gradient: 30.0 }
+    }
+
+    /// Bright below row 50, from column `from` on.
+    fn edge_image(from: u32) -> GrayImage {
+        GrayImage::from_fn(200, 100, |x, y| if y > 50 && x >= from { 160 } else { 90 })
+    }
+
+    fn merged(image: &GrayImage, segments: &[Segment]) -> MergedLines {
+        merge_collinear(image, segments, &LineMergeConfig::default())
+    }
+
+    #[test]
+    fn moments_are_those_of_many_points() {
+        let (a, b) = (segment((10.0, 20.0), (50.0, 22.0)), segment((55.0, 22.0), (75.0, 24.0)));
+        let points: Vec<Vector2<f64>> = [(a, 4000), (b, 2000)]
+            .into_iter()
+            .flat_map(|(s, n)| (0..n).map(move |i| s.start + s.vector() * ((i as f32 + 0.5) / n as f32)))
+            .map(|point| point.cast())
+            .collect();
+        let mean: Vector2<f64> = points.iter().sum::<Vector2<f64>>() / points.len() as f64;
+        let scatter: nalgebra::Matrix2<f64> =
+            points.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
+        let eigen = nalgebra::SymmetricEigen::new(scatter);
+        let axis = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
+        let merged = merge_pair(&a, &b);
+        // The lengths are 40.05 and 20.1, not quite as 2 to 1.
+        assert!(merged.direction().cast::<f64>().perp(&axis).abs() < 1e-4);
+        assert!(merged.distance(&mean.cast()).abs() < 0.01);
+        assert!((merged.start - a.start).norm() < 0.5 && (merged.end - b.end).norm() < 0.5);
+        assert!(merged.sigma_px >= 0.3);
+    }
+
+    #[test]
+    fn fragments_of_one_edge_merge() {
+        let image = edge_image(0);
+        let pieces = [
+            segment((80.0, 50.4), (120.0, 50.6)),
+            segment((20.0, 50.5), (74.0, 50.5)),
+            segment((126.0, 50.7), (180.0, 50.5)),
+        ];
+        let merged = merged(&image, &pieces);
+        assert_eq!(merged.merged_idx, [0, 0, 0]);
+        let line = merged.segments[0];
+        assert!((line.start - Vector2::new(20.0, 50.5)).norm() < 0.5, "{line:?}");
+        assert!((line.end - Vector2::new(180.0, 50.5)).norm() < 0.5, "{line:?}");
+    }
+
+    #[test]
+    fn different_edges_stay_apart() {
+        let image = edge_image(0);
+        let long = segment((20.0, 50.5), (120.0, 50.5));
+        for (name, other) in [
+            ("a parallel double edge", segment((20.0, 53.0), (120.0, 53.0))),
+            ("the other bright side", segment((120.0, 51.0), (20.0, 51.0))),
+            ("another direction", segment((122.0, 50.5), (180.0, 54.5))),
+            ("too far on", segment((160.0, 50.5), (190.0, 50.5))),
+        ] {
+            let merged = merged(&image, &[long, other]);
+            assert_eq!(
+                (merged.segments.as_slice(), merged.merged_idx.as_slice()),
+                (&[long, other][..], &[0, 1][..]),
+                "{name}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_gap_needs_an_edge_in_it() {
+        let pieces = [segment((20.0, 50.5), (90.0, 50.5)), segment((99.0, 50.5), (180.0, 50.5))];
+        assert_eq!(merged(&edge_image(0), &pieces).segments.len(), 1);
+        let interrupted =
+            GrayImage::from_fn(200, 100, |x, y| if y > 50 && !(90..99).contains(&x) { 160 } else { 90 });
+        assert_eq!(merged(&interrupted, &pieces).segments.len(), 2);
+    }
+
+    #[test]
+    fn angles_wrap_around_and_nonsense_stays() {
+        let image = GrayImage::from_fn(200, 100, |_, y| if y < 50 { 160 } else { 90 });
+        let nonsense = segment((f32::NAN, 0.0), (f32::INFINITY, 4.0));
+        let pieces = [
+            segment((100.0, 49.4), (30.0, 49.6)),
+            nonsense,
+            segment((180.0, 49.6), (105.0, 49.5)),
+            segment((5.0, 5.0), (5.0, 5.0)),
+        ];
+        let merged = merged(&image, &pieces);
+        assert_eq!(merged.merged_idx, [0, 1, 0, 2]);
+        assert!((merged.segments[0].length() - 150.0).abs() < 0.5);
+        assert!(super::merge_collinear(&image, &[], &LineMergeConfig::default()).segments.is_empty());
+    }
 }

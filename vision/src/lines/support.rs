@@ -138,3 +138,31 @@ fn n_places(length: f32) -> usize {
 fn place(start: Vector2<f32>, end: Vector2<f32>, i: usize, n: usize) -> Vector2<f32> {
     start + (end - start) * ((i as f32 + 0.5) / n as f32)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::GrayImage;
+
+    #[test]
+    fn the_supported_part_ends_where_the_edge_does() {
+        let image =
+            GrayImage::from_fn(200, 60, |x, y| if y > 30 && (40..150).contains(&x) { 150 } else { 100 });
+        let config = EdgeSupportConfig::default();
+        let probe = EdgeProbe::new(Sampler::new(&image), &config);
+        let segment = Segment {
+            start: Vector2::new(10.0, 30.5),
+            end: Vector2::new(190.0, 30.5),
+            sigma_px: 0.3,
+            gradient: 1.0,
+        };
+        let part = probe.supported_part(&segment, &config).unwrap();
+        assert!((part.start.x - 40.0).abs() < 3.0 && (part.end.x - 150.0).abs() < 3.0, "{part:?}");
+        assert!((part.gradient - 25.0).abs() < 2.0);
+        let support = probe.support(segment.start, segment.end, segment.normal());
+        assert!((support.share - 110.0 / 180.0).abs() < 0.03, "{support:?}");
+        let turned = Segment { start: segment.end, end: segment.start, ..segment };
+        assert_eq!(probe.supported_part(&turned, &config), None);
+        assert_eq!(probe.support(turned.start, turned.end, turned.normal()).share, 0.0);
+    }
+}

@@ -41,6 +41,12 @@ pub(super) struct Scene {
 /// Brightness of the plane itself.
 const GROUND: f32 = 110.0;
 
+/// Soft spots, with gradients well below an edge's: without them a rectangle's opposite sides would look alike.
+fn texture(point: Vector2<f32>) -> f32 {
+    let (x, y) = (point.x, point.y);
+    7.0 * (x / 13.0 + 2.0 * (y / 41.0).sin()).sin() + 7.0 * (y / 11.0 + 2.0 * (x / 37.0).sin()).sin()
+}
+
 impl Scene {
     /// Covers the plane from `(-CELL, -CELL)` to one square beyond `width` and `height`.
     pub fn new(width: u32, height: u32, seed: u64) -> Self {
@@ -68,10 +74,10 @@ impl Scene {
         if (0..self.n_columns).contains(&column) && (0..self.n_rows).contains(&row) {
             let rectangle = &self.rectangles[(row * self.n_columns + column) as usize];
             if rectangle.contains(point) {
-                return rectangle.value;
+                return rectangle.value + texture(point);
             }
         }
-        GROUND
+        GROUND + texture(point)
     }
 
     /// The scene through `image_from_plane`, means of 3 x 3 points per pixel, with a little noise; brightness `v` becomes

@@ -97,7 +97,7 @@ mod tests {
     fn a_third_of_outliers_does_not_matter() {
         let shifts: Vec<(f32, f32)> = (0..18)
             .map(|i| {
-                (10.0 * i as f32, if i % 3 == 1 { -7.0 + i as f32 } else { 2.0 + 0.03 * 10.0 * i as f32 })
+                (10.0 * i as f32, if i % 3 == 1 { -20.0 + i as f32 } else { 2.0 + 0.03 * 10.0 * i as f32 })
             })
             .collect();
         let line = ShiftLine::fit(&shifts, 0.5).unwrap();

@@ -163,8 +163,12 @@ impl LineFlow {
     ) -> Result<FlowedSegment, FlowFailure> {
         let frame =
             |pyramid: &FlowPyramid| Frame::of_image(pyramid.image().width(), pyramid.image().height());
-        let visible = frame(last).clip(segment).filter(|visible| visible.length() > 0.0);
-        let visible = visible.ok_or(FlowFailure::NotASegment)?;
+        if !(segment.is_finite() && segment.length() > 0.0 && segment.length().is_finite()) {
+            return Err(FlowFailure::NotASegment);
+        }
+        // Paths across the places chosen lie in the last image.
+        let visible = frame(last).grown(-PATH_REACH_PX).clip(segment);
+        let visible = visible.ok_or(FlowFailure::OutsideImage { n_samples: 0 })?;
         let expect = |pixel: Vector2<f32>| expected_pixel(pixel, prior);
         let expected = Segment { start: expect(segment.start), end: expect(segment.end), ..*segment };
         // A prior that turns a segment into a point, or beyond what numbers hold, says nothing.
@@ -257,12 +261,8 @@ impl LineFlow {
     ) -> Result<FlowedSegment, FlowFailure> {
         let config = &self.config;
         let (normal, sampler) = (expected.normal(), Sampler::new(next.image()));
-        let reach = HALF_PATH as f32 + 1.0;
-        let old_frame = Frame::of_image(next.image().width(), next.image().height()).grown(-reach);
-        let is_inside = |place: &&Place| {
-            old_frame.contains(&place.old)
-                && old_frame.contains(&(place.expected + normal * line.at(place.along)))
-        };
+        let frame = Frame::of_image(next.image().width(), next.image().height()).grown(-PATH_REACH_PX);
+        let is_inside = |place: &&Place| frame.contains(&(place.expected + normal * line.at(place.along)));
         let n_samples = self.places.iter().filter(is_inside).count();
         if n_samples < config.min_samples.max(2) {
             return Err(FlowFailure::OutsideImage { n_samples });
@@ -343,6 +343,8 @@ impl Paths<'_> {
     }
 }
 
+/// Places are nearer than this to the image's edge only if they are not looked at, pixels: paths must lie inside.
+const PATH_REACH_PX: f32 = HALF_PATH as f32 + 1.0;
 /// Distance of the paths that are averaged at the finest level, pixels.
 const SIDE_PATH_DISTANCE_PX: f32 = 1.5;
 
@@ -350,3 +352,6 @@ fn expected_pixel(pixel: Vector2<f32>, prior: Option<&MotionPrior>) -> Vector2<f
     let expected = prior.map_or(pixel, |prior| prior(pixel));
     if expected.iter().all(|value| value.is_finite()) { expected } else { pixel }
 }
+
+#[cfg(test)]
+mod tests;

@@ -17,7 +17,8 @@ pub struct LineTrackerConfig {
     pub max_flow_only_frames: u32,
     /// By how much flow alone is less exact across a line than a detection. Default 1.5.
     pub flow_sigma_factor: f32,
-    /// Largest Hamming distance of a line kept by flow alone from what it looked like, bits of 256. Default 80.
+    /// Largest Hamming distance of a line kept by flow alone from what it looked like, bits of 256. Default 60:
+    /// unrelated edges lie at 83 on average, the same edge below 20.
     pub max_flow_distance: u32,
     /// A detection shorter than the predicted line by more than this share is merged with it. Default 0.1.
     pub merge_if_longer_by: f32,
@@ -42,7 +43,7 @@ impl Default for LineTrackerConfig {
             max_detections: 400,
             max_flow_only_frames: 3,
             flow_sigma_factor: 1.5,
-            max_flow_distance: 80,
+            max_flow_distance: 60,
             merge_if_longer_by: 0.1,
             flow: LineFlowConfig::default(),
             predicted_match: LineMatchConfig::PREDICTED,

@@ -62,8 +62,9 @@ pub struct TrackedLines {
 const MAX_BEYOND_SHARE: f32 = 0.5;
 /// An end this near to the image's edge, pixels, was cut off there, if the line is known to go on.
 const CUT_OFF_PX: f32 = 5.0;
-/// Hamming distance at which descriptors of unrelated segments lie on average, bits: the score there is nil.
-const UNRELATED_DISTANCE: f32 = 128.0;
+/// Hamming distance at which descriptors of unrelated segments lie on average in drawn scenes, bits: the score there is
+/// nil.
+const UNRELATED_DISTANCE: f32 = 83.0;
 
 /// Follows lines from image to image. Buffers are kept.
 #[derive(Clone, Debug)]
