@@ -1,14 +1,34 @@
 //! Line segments: finding, describing and following them.
 
+mod clip;
+mod descriptor;
 mod detector;
 mod edge_drawing;
 mod fit;
+mod flow;
 mod gradient;
+mod matching;
+mod merging;
+mod moments;
 mod refine;
+mod sampling;
 mod segment;
 mod select;
+mod support;
+#[cfg(test)]
+mod test_scenes;
 #[cfg(test)]
 mod tests;
+mod tracking;
 
+pub use descriptor::LineDescriber;
 pub use detector::{DetectorKind, LineDetectorConfig, LineDetectorConfigError, SegmentDetector, detector};
+pub use flow::{FlowFailure, FlowPyramid, FlowedSegment, LineFlow, LineFlowConfig, MotionPrior};
+pub use matching::{DescribedLines, LineGates, LineMatchConfig, match_lines};
+pub use merging::{LineMergeConfig, MergedLines, merge_collinear, merge_pair};
 pub use segment::Segment;
+pub use support::EdgeSupportConfig;
+pub use tracking::{
+    LineOrigin, LineTracker, LineTrackerConfig, LineTrackerConfigError, LineTrackingStatistics, LostLines,
+    TrackedLine, TrackedLines,
+};
