@@ -4,6 +4,7 @@ mod detector;
 mod edge_drawing;
 mod fit;
 mod gradient;
+mod lsd;
 mod refine;
 mod segment;
 mod select;
