@@ -169,13 +169,18 @@ impl<D: RawDetector> SegmentDetector for ForSlam<D> {
         let min_length_px = config.min_length_px(image.width());
         select::clip_and_drop(&mut self.found, &frame, min_length_px);
         select::spread(&mut self.found, &frame, config.max_segments);
-        let mut segments: Vec<Segment> = self
-            .found
-            .iter()
-            .filter_map(|ends| frame.clip_segment(self.refiner.refine(&self.gradients, ends)?))
-            .filter(|segment| segment.sigma_px <= config.max_sigma_px && segment.length() >= min_length_px)
-            .take(config.max_segments)
-            .collect();
+        let mut segments: Vec<Segment> = Vec::new();
+        for ends in &self.found {
+            if segments.len() == config.max_segments {
+                break;
+            }
+            let Some(refined) = self.refiner.refine(&self.gradients, ends) else { continue };
+            let Some(segment) = frame.clip_segment(refined) else { continue };
+            let is_line = segment.sigma_px <= config.max_sigma_px && segment.length() >= min_length_px;
+            if is_line && !segments.iter().any(|kept| select::is_repeated(kept, &segment)) {
+                segments.push(segment);
+            }
+        }
         segments.sort_by(|a, b| b.length().total_cmp(&a.length()));
         segments
     }

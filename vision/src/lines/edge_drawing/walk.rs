@@ -60,7 +60,7 @@ impl Walker {
     }
 
     /// The strongest of the three pixels ahead, if the edge goes on there and nobody has been there.
-    #[inline]
+    #[inline(always)]
     fn successor<const FORWARDS: bool>(&self, gradients: &Gradients, at: usize) -> Option<usize> {
         let (gx, gy) = (gradients.x[at], gradients.y[at]);
         // The direction with the brighter side to its right is (gy, -gx).

@@ -173,3 +173,40 @@ impl Judge {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The binomial tail by its definition.
+    fn tail(n: usize, k: usize, p: f64) -> f64 {
+        let choose = |j: usize| (0..j).map(|i| (n - i) as f64 / (j - i) as f64).product::<f64>();
+        (k..=n).map(|j| choose(j) * p.powi(j as i32) * (1.0 - p).powi((n - j) as i32)).sum()
+    }
+
+    #[test]
+    fn rarity_is_that_of_the_binomial_tail() {
+        let mut judge = Judge::default();
+        judge.start_image(512, 384);
+        assert!((judge.log_n_tests - (2.5 * (512.0f64 * 384.0).log10() + 11f64.log10())).abs() < 1e-9);
+        for (n, k, p) in
+            [(16, 16, 0.125), (30, 20, 0.125), (100, 40, 0.125), (60, 15, 0.0625), (200, 30, 0.125)]
+        {
+            let expected = -judge.log_n_tests - tail(n, k, p).log10();
+            let rarity = judge.rarity(n, k, p, f64::NEG_INFINITY);
+            // The tail left out is worth a tenth of the sum at most.
+            assert!((-1e-6..0.05).contains(&(rarity - expected)), "{n}, {k}, {p}: {rarity}, {expected}");
+        }
+        assert_eq!(judge.rarity(0, 0, 0.125, f64::NEG_INFINITY), -judge.log_n_tests);
+        assert_eq!(judge.rarity(80, 5, 0.125, f64::NEG_INFINITY), -judge.log_n_tests);
+    }
+
+    #[test]
+    fn too_few_pixels_are_never_rare() {
+        let mut judge = Judge::default();
+        judge.start_image(602, 384);
+        let min = judge.min_pixels();
+        assert!(judge.rarity(min - 1, min - 1, PRECISION, f64::NEG_INFINITY) < 0.0);
+        assert!(judge.rarity(min + 1, min + 1, PRECISION, f64::NEG_INFINITY) > 0.0);
+    }
+}

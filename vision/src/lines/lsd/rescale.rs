@@ -135,3 +135,41 @@ fn dot(weights: &[f32], values: &[f32]) -> f32 {
     }
     sums.iter().sum()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_images;
+
+    #[test]
+    fn shrinking_is_a_gaussian_average_mirrored_at_the_edges() {
+        for (width, height, scale) in [(37, 23, 0.8), (20, 30, 0.5), (9, 5, 1.0), (2, 1, 0.8)] {
+            let image = test_images::noise(width, height, 255, 4);
+            let mut rescaler = Rescaler::default();
+            let shrunk = rescaler.shrink(&image, scale);
+            let sigma = SIGMA / scale;
+            let mirror = |place: i64, n: u32| {
+                let n = i64::from(n);
+                let place = place.rem_euclid(2 * n);
+                place.min(2 * n - 1 - place) as u32
+            };
+            for (i, &found) in shrunk.pixels.iter().enumerate() {
+                let (x, y) = ((i % shrunk.width) as f64 / scale, (i / shrunk.width) as f64 / scale);
+                let (mut sum, mut total) = (0.0, 0.0);
+                for v in y as i64 - 12..=y as i64 + 12 {
+                    for u in x as i64 - 12..=x as i64 + 12 {
+                        let squared = (u as f64 - x).powi(2) + (v as f64 - y).powi(2);
+                        let weight = (-0.5 * squared / (sigma * sigma)).exp();
+                        total += weight;
+                        sum += weight * f64::from(image.row(mirror(v, height))[mirror(u, width) as usize]);
+                    }
+                }
+                let expected = sum / total;
+                assert!(
+                    (f64::from(found) - expected).abs() < 0.5,
+                    "{i} of {width}x{height}: {found}, {expected}"
+                );
+            }
+        }
+    }
+}
