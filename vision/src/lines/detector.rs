@@ -22,7 +22,7 @@ pub enum DetectorKind {
     /// [Akinlar & Topal, "EDLines", 2011; Suárez et al., "ELSED", 2022]: fast.
     EdgeDrawing,
     /// Grow regions of like gradient direction and keep those that do not happen by chance
-    /// [Grompone von Gioi et al., "LSD: a Line Segment Detector", 2012]: thorough, some five times as slow.
+    /// [Grompone von Gioi et al., "LSD: a Line Segment Detector", 2012]: thorough, three to four times as slow.
     Lsd,
 }
 

@@ -30,15 +30,9 @@ impl Field {
     /// Takes the gradient of `image` on blocks of 2 x 2 pixels, in place of what was here.
     pub fn compute(&mut self, image: &Shrunk, min_magnitude: f32) {
         let (width, height) = (image.width, image.height);
-        (self.width, self.height, self.stride) = (width, height, width);
-        let n = self.at(Pixel { x: 0, y: height as u32 }) + 1;
-        // The outer elements are written by nobody else.
-        self.direction.clear();
-        self.direction.resize(n, Vector2::zeros());
-        self.magnitude.clear();
-        self.magnitude.resize(n, 0.0);
-        self.taken.clear();
-        self.taken.resize(n, 1);
+        if (self.width, self.height) != (width, height) {
+            self.resize(width, height);
+        }
         for y in 0..height.saturating_sub(1) {
             let at = self.at(Pixel { x: 0, y: y as u32 });
             let n = width.saturating_sub(1);
@@ -59,6 +53,18 @@ impl Field {
             }
         }
         self.sort_seeds();
+    }
+
+    /// Makes room for an image of another size, with no direction anywhere: at the outer elements that is how it stays.
+    fn resize(&mut self, width: usize, height: usize) {
+        (self.width, self.height, self.stride) = (width, height, width);
+        let n = self.at(Pixel { x: 0, y: height as u32 }) + 1;
+        self.direction.clear();
+        self.direction.resize(n, Vector2::zeros());
+        self.magnitude.clear();
+        self.magnitude.resize(n, 0.0);
+        self.taken.clear();
+        self.taken.resize(n, 1);
     }
 
     /// Sorts the pixels that have a direction by falling magnitude, to within a bin, by counting.

@@ -89,7 +89,7 @@ impl Rectangle {
         let top = corners.iter().copied().fold(f64::INFINITY, f64::min).ceil().max(0.0);
         let bottom =
             corners.iter().copied().fold(f64::NEG_INFINITY, f64::max).floor().min(height as f64 - 1.0);
-        if !(top <= bottom) {
+        if top > bottom {
             return;
         }
         for row in top as usize..=bottom as usize {

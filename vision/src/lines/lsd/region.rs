@@ -36,16 +36,14 @@ impl Region {
             i += 1;
             let centre = field.at(pixel);
             for dy in 0..3 {
-                for dx in 0..3 {
-                    let at = centre + dy * field.stride + dx - field.stride - 1;
-                    if field.taken[at] != 0 {
-                        continue;
-                    }
-                    let direction = field.direction[at];
+                let first = centre + dy * field.stride - field.stride - 1;
+                let taken = [field.taken[first], field.taken[first + 1], field.taken[first + 2]];
+                for (dx, _) in taken.iter().enumerate().filter(|&(_, &taken)| taken == 0) {
+                    let direction = field.direction[first + dx];
                     if direction.dot(&sum) < least {
                         continue;
                     }
-                    field.taken[at] = 1;
+                    field.taken[first + dx] = 1;
                     sum += direction;
                     least = min_cosine * sum.norm();
                     // A free pixel is inside the image: neither coordinate falls below 0.
