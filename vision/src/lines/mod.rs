@@ -10,6 +10,7 @@ mod gradient;
 mod matching;
 mod merging;
 mod moments;
+mod lsd;
 mod refine;
 mod sampling;
 mod segment;

@@ -11,8 +11,11 @@ use crate::lines::select::Ends;
 const SEARCH_PX: i32 = 2;
 /// A maximum weaker than this is noise, grey levels per pixel.
 const MIN_GRADIENT: f32 = 1.5;
-/// Maxima farther from the line through all of them belong to another edge, pixels.
-const MAX_STRAY_PX: f64 = 1.5;
+/// Maxima farther from the line through all of them than this multiple of the standard deviation are left out: they belong
+/// to another edge, or to the corner the edge ends in.
+const MAX_STRAY_SIGMAS: f64 = 2.5;
+/// Within these bounds, pixels.
+const MAX_STRAY_BOUNDS_PX: [f64; 2] = [0.2, 1.5];
 /// Segments longer than this are sampled at every other pixel.
 const DENSE_LENGTH_PX: f32 = 48.0;
 /// Fewer samples do not make a line.
@@ -46,7 +49,9 @@ impl Refiner {
             return None;
         }
         let all = moments_of(&self.samples).fit();
-        self.samples.retain(|&sample| all.distance(sample).abs() <= MAX_STRAY_PX);
+        let [low, high] = MAX_STRAY_BOUNDS_PX;
+        let max_stray = (MAX_STRAY_SIGMAS * all.variance.sqrt()).clamp(low, high);
+        self.samples.retain(|&sample| all.distance(sample).abs() <= max_stray);
         if self.samples.len() < n_needed {
             return None;
         }

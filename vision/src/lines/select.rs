@@ -30,6 +30,11 @@ const N_CELLS: f32 = 8.0;
 /// A square may take this many times its equal share before the others have been served.
 const SHARES_PER_CELL: usize = 2;
 
+/// Two edges of the same polarity are farther apart than this, pixels: between them must be one of the other.
+const SAME_EDGE_PX: f32 = 1.2;
+/// A segment repeats another if more than this share of its length lies beside it.
+const MAX_REPEATED_SHARE: f32 = 0.5;
+
 impl Frame {
     /// An image without `border_px` on every side, unless nothing remains of it.
     pub fn inside(width: u32, height: u32, border_px: f32) -> Option<Self> {
@@ -106,6 +111,18 @@ pub(super) fn spread(segments: &mut Vec<Ends>, frame: &Frame, n_wanted: usize) {
     segments.append(&mut later);
 }
 
+/// Whether a segment says again what another does: it lies on it, or for the greater part so. Pieces found apart may be
+/// refined to the same edge.
+pub(super) fn is_repeated(kept: &Segment, segment: &Segment) -> bool {
+    let near = |end: &Vector2<f32>| kept.distance(end).abs() <= SAME_EDGE_PX;
+    if !near(&segment.start) || !near(&segment.end) || kept.vector().dot(&segment.vector()) <= 0.0 {
+        return false;
+    }
+    let direction = kept.direction();
+    let along = |end: Vector2<f32>| direction.dot(&(end - kept.start)).clamp(0.0, kept.length());
+    along(segment.end) - along(segment.start) > MAX_REPEATED_SHARE * segment.length()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -149,5 +166,23 @@ mod tests {
         assert_eq!(segments[..64].iter().filter(|segment| segment.length() > 30.0).count(), 2);
         spread(&mut segments, &frame, 200);
         assert!(segments.is_sorted_by(|a, b| a.length() >= b.length()));
+    }
+
+    #[test]
+    fn what_lies_on_a_kept_segment_repeats_it() {
+        let segment = |x0: f32, y0: f32, x1: f32, y1: f32| Segment {
+            start: Vector2::new(x0, y0),
+            end: Vector2::new(x1, y1),
+            sigma_px: 0.3,
+            gradient: 20.0,
+        };
+        let kept = segment(10.0, 10.0, 110.0, 10.0);
+        assert!(is_repeated(&kept, &segment(40.0, 10.4, 70.0, 9.8)));
+        assert!(is_repeated(&kept, &segment(90.0, 10.0, 125.0, 10.0)));
+        // Going on, beside, across, of the other polarity.
+        assert!(!is_repeated(&kept, &segment(100.0, 10.0, 150.0, 10.0)));
+        assert!(!is_repeated(&kept, &segment(40.0, 13.0, 70.0, 13.0)));
+        assert!(!is_repeated(&kept, &segment(40.0, 0.0, 70.0, 20.0)));
+        assert!(!is_repeated(&kept, &segment(70.0, 10.0, 40.0, 10.0)));
     }
 }

@@ -8,7 +8,7 @@ use super::*;
 use crate::GrayImage;
 use crate::test_images::{self, Random};
 
-const KINDS: [DetectorKind; 1] = [DetectorKind::EdgeDrawing];
+const KINDS: [DetectorKind; 2] = [DetectorKind::EdgeDrawing, DetectorKind::Lsd];
 
 fn detect(kind: DetectorKind, image: &GrayImage) -> Vec<Segment> {
     detector(LineDetectorConfig { kind, ..Default::default() }).unwrap().detect(image)
@@ -215,6 +215,7 @@ fn settings_out_of_range_are_refused() {
         (LineDetectorConfig { max_segments: 0, ..default }, Error::MaxSegments),
         (LineDetectorConfig { max_sigma_px: 0.3, ..default }, Error::MaxSigma(0.3)),
         (LineDetectorConfig { min_gradient: 0.0, ..default }, Error::MinGradient(0.0)),
+        (LineDetectorConfig { lsd_scale: 0.2, ..default }, Error::LsdScale(0.2)),
     ] {
         assert_eq!(config.validate(), Err(expected));
         assert_eq!(detector(config).err(), Some(expected));

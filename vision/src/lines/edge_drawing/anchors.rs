@@ -13,7 +13,7 @@ const N_BINS: usize = 128;
 /// Finds anchors; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Anchors {
-    /// Per pixel of a row, 1 for an anchor.
+    /// Per inner pixel of a row, 1 for an anchor.
     flags: Vec<u8>,
     found: Vec<u32>,
     sorted: Vec<u32>,
@@ -31,24 +31,25 @@ impl Anchors {
         }
         for y in 1..height.saturating_sub(1) {
             self.flag_row(gradients, y, min_magnitude);
-            let on_row = y % STEP == 0;
-            for (chunk_index, chunk) in self.flags.chunks(8).enumerate() {
-                if chunk.iter().all(|&flag| flag == 0) {
-                    continue;
-                }
-                for (i, &flag) in chunk.iter().enumerate() {
-                    let x = 1 + 8 * chunk_index + i;
-                    // Edges that run along x are cut by columns, the others by rows.
-                    if flag == 1 && x % STEP == 0 || flag == 2 && on_row {
-                        self.found.push((y * width + x) as u32);
-                    }
+            let (chunks, rest) = self.flags.as_chunks::<8>();
+            for (chunk_index, chunk) in chunks.iter().enumerate() {
+                // Flags are rare: eight are looked at together.
+                let mut left = u64::from_le_bytes(*chunk);
+                while left != 0 {
+                    let x = 1 + 8 * chunk_index + left.trailing_zeros() as usize / 8;
+                    self.found.push((y * width + x) as u32);
+                    left &= left - 1;
                 }
             }
+            let begin = 1 + self.flags.len() - rest.len();
+            let last = rest.iter().enumerate().filter(|&(_, &flag)| flag != 0);
+            self.found.extend(last.map(|(i, _)| (y * width + begin + i) as u32));
         }
         self.sort(gradients)
     }
 
-    /// Flags pixels 1 to `width - 2` of row `y`: 1 for an anchor on an edge along x, 2 along y, 0 for none.
+    /// Flags pixels 1 to `width - 2` of row `y`: 1 for an anchor, 0 for none. Edges that run along x are cut by every
+    /// so-many-th column, the others by rows.
     fn flag_row(&mut self, gradients: &Gradients, y: usize, min_magnitude: i16) {
         let n = gradients.width - 2;
         let at = y * gradients.width + 1;
@@ -56,15 +57,16 @@ impl Anchors {
         let (centre, left, right) = (around(at), around(at - 1), around(at + 1));
         let (above, below) = (around(at - gradients.width), around(at + gradients.width));
         let (gx, gy) = (&gradients.x[at..][..n], &gradients.y[at..][..n]);
+        let on_row = y.is_multiple_of(STEP);
         self.flags.resize(n, 0);
         for (i, flag) in self.flags.iter_mut().enumerate() {
             let along_x = gy[i].abs() > gx[i].abs();
             let (before, after) = if along_x { (above[i], below[i]) } else { (left[i], right[i]) };
             let (before, after) = (centre[i] - before, centre[i] - after);
             // An edge half way between two pixels is equally strong on both.
-            let is_peak = before >= 0 && after >= 0 && before.saturating_add(after) >= MIN_PROMINENCE;
-            let is_anchor = centre[i] >= min_magnitude && is_peak;
-            *flag = if is_anchor { if along_x { 1 } else { 2 } } else { 0 };
+            let is_peak = (before >= 0) & (after >= 0) & (before.saturating_add(after) >= MIN_PROMINENCE);
+            let on_grid = if along_x { (i + 1).is_multiple_of(STEP) } else { on_row };
+            *flag = u8::from((centre[i] >= min_magnitude) & is_peak & on_grid);
         }
     }
 

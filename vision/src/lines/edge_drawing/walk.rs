@@ -60,7 +60,7 @@ impl Walker {
     }
 
     /// The strongest of the three pixels ahead, if the edge goes on there and nobody has been there.
-    #[inline]
+    #[inline(always)]
     fn successor<const FORWARDS: bool>(&self, gradients: &Gradients, at: usize) -> Option<usize> {
         let (gx, gy) = (gradients.x[at], gradients.y[at]);
         // The direction with the brighter side to its right is (gy, -gx).
@@ -90,8 +90,9 @@ fn runs_along_x(gradients: &Gradients, at: usize) -> bool {
 /// The positions of a chain's pixels to a fraction: on the gradient's maximum across the edge, by a parabola.
 pub(super) fn sub_pixel(gradients: &Gradients, chain: &[u32], points: &mut Vec<Vector2<f32>>) {
     points.clear();
-    points.extend(chain.iter().map(|&at| {
-        let at = at as usize;
+    let width = gradients.width as u32;
+    points.extend(chain.iter().map(|&pixel| {
+        let at = pixel as usize;
         let along_x = runs_along_x(gradients, at);
         let (field, stride) = if along_x { (&gradients.y, gradients.width) } else { (&gradients.x, 1) };
         let [before, centre, after] =
@@ -100,7 +101,7 @@ pub(super) fn sub_pixel(gradients: &Gradients, chain: &[u32], points: &mut Vec<V
         // A pixel beside the ridge may lie on the slope of the profile: it is at most a pixel off.
         let offset =
             if curvature < -1.0 { (0.5 * (before - after) / curvature).clamp(-1.0, 1.0) } else { 0.0 };
-        let (x, y) = ((at % gradients.width) as f32, (at / gradients.width) as f32);
+        let (x, y) = ((pixel % width) as f32, (pixel / width) as f32);
         if along_x { Vector2::new(x, y + offset) } else { Vector2::new(x + offset, y) }
     }));
 }

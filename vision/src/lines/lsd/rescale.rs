@@ -1,0 +1,175 @@
+//! Shrinking an image under a Gaussian, which takes the staircase out of slanted edges.
+
+use crate::GrayImage;
+
+/// Standard deviation of the Gaussian, pixels of the shrunk image.
+const SIGMA: f64 = 0.6;
+/// Below this share of the largest one, weights are left out.
+const SMALLEST_WEIGHT: f64 = 1e-3;
+/// Weights per pixel are rounded up to a multiple of this, so that the processor can take them several at a time.
+const LANES: usize = 8;
+
+/// A shrunk image, grey levels not rounded, row by row.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Shrunk {
+    pub width: usize,
+    pub height: usize,
+    pub pixels: Vec<f32>,
+}
+
+/// Shrinks images; keeps its buffers.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Rescaler {
+    shrunk: Shrunk,
+    /// A row of the original's width, blended from several.
+    blended: Vec<f32>,
+    columns: Taps,
+    rows: Taps,
+}
+
+/// Which old pixels make up each new one along an axis.
+#[derive(Clone, Debug, Default)]
+struct Taps {
+    n_old: usize,
+    n_new: usize,
+    scale: f64,
+    /// Weights of a new pixel.
+    n_weights: usize,
+    weights: Vec<f32>,
+    /// The old pixel the first weight of each new one is for; the pixels beyond the image's edges count from
+    /// `-margin`.
+    starts: Vec<usize>,
+    margin: usize,
+}
+
+impl Taps {
+    fn prepare(&mut self, n_old: usize, scale: f64) {
+        if (self.n_old, self.scale) == (n_old, scale) {
+            return;
+        }
+        let sigma = if scale < 1.0 { SIGMA / scale } else { SIGMA };
+        let radius = (sigma * (-2.0 * SMALLEST_WEIGHT.ln()).sqrt()).ceil() as usize;
+        let n_used = 2 * radius + 1;
+        *self = Self {
+            n_old,
+            n_new: (n_old as f64 * scale).ceil() as usize,
+            scale,
+            n_weights: n_used.next_multiple_of(LANES),
+            margin: radius + 1,
+            ..Self::default()
+        };
+        for i in 0..self.n_new {
+            let centre = i as f64 / scale;
+            let nearest = (centre + 0.5).floor();
+            let weight = |j: usize| {
+                let distance = nearest + j as f64 - radius as f64 - centre;
+                (-0.5 * (distance / sigma).powi(2)).exp()
+            };
+            let total: f64 = (0..n_used).map(weight).sum();
+            self.starts.push(nearest as usize + self.margin - radius);
+            self.weights.extend((0..n_used).map(|j| (weight(j) / total) as f32));
+            self.weights.extend(std::iter::repeat_n(0.0, self.n_weights - n_used));
+        }
+    }
+
+    fn of(&self, i: usize) -> (usize, &[f32]) {
+        (self.starts[i], &self.weights[i * self.n_weights..][..self.n_weights])
+    }
+
+    /// The old pixel at `place`, counted from the margin, with what lies beyond the edges mirrored.
+    fn mirrored(&self, place: usize) -> usize {
+        let period = 2 * self.n_old;
+        let place = (place + self.margin.next_multiple_of(period) - self.margin) % period;
+        place.min(period - 1 - place)
+    }
+}
+
+impl Rescaler {
+    /// Shrinks `image` to `scale` times its size, rounded up.
+    pub fn shrink(&mut self, image: &GrayImage, scale: f64) -> &Shrunk {
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        self.columns.prepare(width, scale);
+        self.rows.prepare(height, scale);
+        let (columns, rows) = (&self.columns, &self.rows);
+        self.shrunk.width = columns.n_new;
+        self.shrunk.height = rows.n_new;
+        self.shrunk.pixels.resize(columns.n_new * rows.n_new, 0.0);
+        if image.is_empty() {
+            return &self.shrunk;
+        }
+        let margin = columns.margin;
+        // The first tap may start at a margin's pixel, the last may end beyond the other, with weights of 0.
+        self.blended.resize(width + 2 * margin + columns.n_weights, 0.0);
+        for (y, out) in self.shrunk.pixels.chunks_exact_mut(columns.n_new).enumerate() {
+            let (start, weights) = rows.of(y);
+            let blended = &mut self.blended[margin..margin + width];
+            blended.fill(0.0);
+            for (j, &weight) in weights.iter().enumerate().filter(|&(_, &weight)| weight > 0.0) {
+                let row = image.row(rows.mirrored(start + j) as u32);
+                for (sum, &pixel) in blended.iter_mut().zip(row) {
+                    *sum += weight * f32::from(pixel);
+                }
+            }
+            for i in 0..margin {
+                self.blended[i] = self.blended[margin + columns.mirrored(i)];
+                self.blended[margin + width + i] =
+                    self.blended[margin + columns.mirrored(margin + width + i)];
+            }
+            for (x, out) in out.iter_mut().enumerate() {
+                let (start, weights) = columns.of(x);
+                *out = dot(weights, &self.blended[start..]);
+            }
+        }
+        &self.shrunk
+    }
+}
+
+/// The scalar product of `weights`, a multiple of [`LANES`] long, with as many values.
+#[inline]
+fn dot(weights: &[f32], values: &[f32]) -> f32 {
+    let mut sums = [0.0f32; LANES];
+    for (weights, values) in weights.chunks_exact(LANES).zip(values.chunks_exact(LANES)) {
+        for i in 0..LANES {
+            sums[i] += weights[i] * values[i];
+        }
+    }
+    sums.iter().sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_images;
+
+    #[test]
+    fn shrinking_is_a_gaussian_average_mirrored_at_the_edges() {
+        for (width, height, scale) in [(37, 23, 0.8), (20, 30, 0.5), (9, 5, 1.0), (2, 1, 0.8)] {
+            let image = test_images::noise(width, height, 255, 4);
+            let mut rescaler = Rescaler::default();
+            let shrunk = rescaler.shrink(&image, scale);
+            let sigma = SIGMA / scale;
+            let mirror = |place: i64, n: u32| {
+                let n = i64::from(n);
+                let place = place.rem_euclid(2 * n);
+                place.min(2 * n - 1 - place) as u32
+            };
+            for (i, &found) in shrunk.pixels.iter().enumerate() {
+                let (x, y) = ((i % shrunk.width) as f64 / scale, (i / shrunk.width) as f64 / scale);
+                let (mut sum, mut total) = (0.0, 0.0);
+                for v in y as i64 - 12..=y as i64 + 12 {
+                    for u in x as i64 - 12..=x as i64 + 12 {
+                        let squared = (u as f64 - x).powi(2) + (v as f64 - y).powi(2);
+                        let weight = (-0.5 * squared / (sigma * sigma)).exp();
+                        total += weight;
+                        sum += weight * f64::from(image.row(mirror(v, height))[mirror(u, width) as usize]);
+                    }
+                }
+                let expected = sum / total;
+                assert!(
+                    (f64::from(found) - expected).abs() < 0.5,
+                    "{i} of {width}x{height}: {found}, {expected}"
+                );
+            }
+        }
+    }
+}
