@@ -8,7 +8,7 @@ use vision::GrayImage;
 use vision::lines::{LineDescriber, LineTracker, LineTrackerConfig, Segment};
 
 /// Side of the squares of a board that hold one rectangle each, pixels.
-const CELL: f32 = 90.0;
+const CELL: f32 = 80.0;
 
 /// Corners of the rectangle in a square, clockwise on the screen, and its brightness above the ground's.
 fn rectangle(column: i32, row: i32) -> ([Vector2<f32>; 4], f32) {
@@ -16,7 +16,7 @@ fn rectangle(column: i32, row: i32) -> ([Vector2<f32>; 4], f32) {
     let share = |shift: u32| (hash >> shift & 0xFF) as f32 / 255.0;
     let middle = Vector2::new((column as f32 + 0.5) * CELL, (row as f32 + 0.5) * CELL);
     let (sin, cos) = (1.5 * share(3)).sin_cos();
-    let (a, b) = ((20.0 + 14.0 * share(7)), (14.0 + 12.0 * share(11)));
+    let (a, b) = (18.0 + 14.0 * share(7), 12.0 + 10.0 * share(11));
     let (a, b) = (Vector2::new(cos, sin) * a, Vector2::new(-sin, cos) * b);
     let contrast = if hash & 1 == 0 { 60.0 } else { -60.0 };
     ([-a - b, a - b, a + b, b - a].map(|corner| middle + corner), contrast)
@@ -38,7 +38,7 @@ fn board(by: Vector2<f32>) -> (GrayImage, Vec<Segment>) {
         (0.25 * sum + (x.wrapping_mul(31) ^ y.wrapping_mul(17)) as f32 % 4.0) as u8
     });
     let mut segments = Vec::new();
-    for (column, row) in (-1..8).flat_map(|column| (-1..7).map(move |row| (column, row))) {
+    for (column, row) in (-1..9).flat_map(|column| (-1..7).map(move |row| (column, row))) {
         let (corners, contrast) = rectangle(column, row);
         for side in 0..4 {
             let (from, to) = (corners[side] + by, corners[(side + 1) % 4] + by);

@@ -237,36 +237,44 @@ impl LineTracker {
         }
         let mut candidates = Vec::with_capacity(found.len());
         for ((track_idx, prediction), detection) in found.into_iter().zip(detection_of) {
-            let descriptor = self.describer.describe_halved(self.next.halved(), &prediction.segment);
-            let distance = descriptor.distance(&self.tracks[track_idx].descriptor);
             let flowed = Candidate {
                 track_idx,
                 found: Found::FlowOnly,
                 segment: prediction.segment,
                 extent: prediction.extent,
                 origin: LineOrigin::Flowed,
-                descriptor: Some(descriptor),
+                descriptor: None,
             };
             match detection {
                 Some((detection, detected_distance)) => {
                     let (detected, detected_descriptor) = detections.take(detection);
                     candidates.push(Candidate {
                         found: Found::ByFlow,
-                        ..self.choose(flowed, distance, &detected, detected_descriptor, detected_distance)
+                        ..self.choose(flowed, &detected, detected_descriptor, detected_distance)
                     });
                 }
-                None if distance <= self.config.max_flow_distance => candidates.push(flowed),
-                None => statistics.lost.count(LossReason::LooksDifferent),
+                None => match self.describe_flowed(flowed) {
+                    (flowed, distance) if distance <= self.config.max_flow_distance => {
+                        candidates.push(flowed);
+                    }
+                    _ => statistics.lost.count(LossReason::LooksDifferent),
+                },
             }
         }
         candidates
     }
 
+    /// A predicted line with its descriptor, and how far that is from what the line looked like, bits.
+    fn describe_flowed(&mut self, flowed: Candidate) -> (Candidate, u32) {
+        let descriptor = self.describer.describe_halved(self.next.halved(), &flowed.segment);
+        let distance = descriptor.distance(&self.tracks[flowed.track_idx].descriptor);
+        (Candidate { descriptor: Some(descriptor), ..flowed }, distance)
+    }
+
     /// Of a predicted line and its detection: both merged if the detection is but a piece, else the better one.
     fn choose(
-        &self,
+        &mut self,
         flowed: Candidate,
-        flowed_distance: u32,
         detected: &Segment,
         detected_descriptor: Descriptor,
         detected_distance: u32,
@@ -288,9 +296,14 @@ impl LineTracker {
             let alike = (1.0 - distance as f32 / UNRELATED_DISTANCE).max(0.0);
             alike * segment.length() / (sigma_factor * segment.sigma_px)
         };
-        let flowed_score = score(&flowed.segment, self.config.flow_sigma_factor, flowed_distance);
-        if flowed_score > score(detected, 1.0, detected_distance) {
-            return flowed;
+        let detected_score = score(detected, 1.0, detected_distance);
+        let flowed_factor = self.config.flow_sigma_factor;
+        // Describing takes time: most predictions would lose even if they looked exactly like the line.
+        if score(&flowed.segment, flowed_factor, 0) > detected_score {
+            let (flowed, distance) = self.describe_flowed(flowed);
+            if score(&flowed.segment, flowed_factor, distance) > detected_score {
+                return flowed;
+            }
         }
         Candidate {
             segment: *detected,
