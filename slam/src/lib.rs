@@ -18,7 +18,7 @@ mod tracking;
 pub use clock::{Clock, NoClock};
 pub use config::{
     ConfigError, FeatureSwitches, InitialisationConfig, KeyframeConfig, LineConfig, MappingConfig,
-    RelocalisationConfig, SlamConfig, Threading, TrackingConfig,
+    PrimitiveConfig, RelocalisationConfig, SlamConfig, Threading, TrackingConfig,
 };
 pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::{Frame, FrameError, Pipeline, ResumeError, ResumeState};

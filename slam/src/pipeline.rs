@@ -150,7 +150,7 @@ impl Pipeline {
         let segments = map.keyframes().flat_map(|keyframe| &keyframe.features.lines);
         let first_track = segments.map(|segment| segment.track + 1).max().unwrap_or(0);
         let front_end = FrontEnd::new(&config, &camera, first_track)?;
-        let mapper = Mapper::new(config.clone(), map.clone());
+        let mapper = Mapper::new(config.clone(), map.clone())?;
         let mapping = match config.threading {
             Threading::Inline => MappingStage::inline(mapper),
             Threading::Background => MappingStage::background(mapper).map_err(|error| ConfigError {

@@ -2,6 +2,7 @@
 
 use super::anchored_line::AnchoredLine;
 use super::factors::{LineReprojectionFactor, PointReprojectionFactor};
+use super::stage_two::PrimitiveVariable;
 use crate::map::{KeyframeId, LineId, LinePlace, Map, Observation, PointId};
 use crate::mapping::lines::{TrackView, directed, seen_part};
 use geometry::nalgebra::Vector3;
@@ -19,16 +20,25 @@ pub(crate) struct Scope {
 
 /// Poses, points and lines of a scope with every sighting among them as a factor.
 pub(crate) struct Adjustment {
-    problem: Problem,
-    poses: BTreeMap<KeyframeId, VariableId<Pose>>,
-    free: BTreeSet<KeyframeId>,
+    pub(super) problem: Problem,
+    pub(super) poses: BTreeMap<KeyframeId, VariableId<Pose>>,
+    pub(super) free: BTreeSet<KeyframeId>,
     points: Vec<(PointId, VariableId<Vector3<f64>>)>,
     point_group: GroupId<PointReprojectionFactor>,
     /// Which sighting each factor stands for.
     point_sightings: Vec<(PointId, KeyframeId)>,
-    lines: Vec<(LineId, AnchoredLine, VariableId<OrthonormalLine>)>,
+    pub(super) lines: Vec<(LineId, AnchoredLine, VariableId<OrthonormalLine>)>,
     line_group: GroupId<LineReprojectionFactor>,
     line_sightings: Vec<(LineId, KeyframeId)>,
+    /// Empty until the second stage.
+    pub(super) primitives: Vec<PrimitiveVariable>,
+}
+
+/// The values of all variables at some moment.
+pub(super) struct State {
+    poses: Vec<(VariableId<Pose>, Pose)>,
+    points: Vec<(VariableId<Vector3<f64>>, Vector3<f64>)>,
+    lines: Vec<(VariableId<OrthonormalLine>, OrthonormalLine)>,
 }
 
 impl Adjustment {
@@ -70,12 +80,54 @@ impl Adjustment {
         // Wrong associations of lines are frequent and must not pull for ever.
         let line_group = problem.add_factors(Kernel::cauchy_95(), line_factors);
         let free = scope.free.clone();
-        Self { problem, poses, free, points, point_group, point_sightings, lines, line_group, line_sightings }
+        let primitives = Vec::new();
+        Self {
+            problem,
+            poses,
+            free,
+            points,
+            point_group,
+            point_sightings,
+            lines,
+            line_group,
+            line_sightings,
+            primitives,
+        }
     }
 
     /// Iterates until it converges, `max_iterations` are done, or `aborted` says so.
     pub fn solve(&mut self, max_iterations: usize, aborted: impl Fn() -> bool) {
         self.problem.solve(&SolverOptions { max_iterations, ..SolverOptions::default() }, aborted);
+    }
+
+    /// The present pose of a key frame of the scope.
+    pub(super) fn pose(&self, id: KeyframeId) -> Option<Pose> {
+        self.poses.get(&id).map(|variable| *self.problem.value(*variable))
+    }
+
+    /// Keeps the present values, to go back to them.
+    pub(super) fn state(&self) -> State {
+        State {
+            poses: self.poses.values().map(|variable| (*variable, *self.problem.value(*variable))).collect(),
+            points: self
+                .points
+                .iter()
+                .map(|(_, variable)| (*variable, *self.problem.value(*variable)))
+                .collect(),
+            lines: self
+                .lines
+                .iter()
+                .map(|(_, _, variable)| (*variable, *self.problem.value(*variable)))
+                .collect(),
+        }
+    }
+
+    /// Goes back to kept values; primitives are forgotten and stay as the map has them.
+    pub(super) fn restore(&mut self, state: State) {
+        state.poses.into_iter().for_each(|(variable, value)| self.problem.set_value(variable, value));
+        state.points.into_iter().for_each(|(variable, value)| self.problem.set_value(variable, value));
+        state.lines.into_iter().for_each(|(variable, value)| self.problem.set_value(variable, value));
+        self.primitives.clear();
     }
 
     /// Leaves sightings out of what follows that disagree at present, and takes others in again.
@@ -111,6 +163,11 @@ impl Adjustment {
         }
         for (id, anchored, variable) in &self.lines {
             write_line(map, *id, anchored, self.problem.value(*variable));
+        }
+        for PrimitiveVariable { id, variable } in &self.primitives {
+            if let Some(covariance) = map.primitive(*id).map(|primitive| primitive.covariance) {
+                map.set_primitive_direction(*id, *self.problem.value(*variable), covariance);
+            }
         }
     }
 }

@@ -1,22 +1,28 @@
 //! Local bundle adjustment around a new key frame. [ALGORITHMS 8.3]
 
 use super::adjustment::{Adjustment, Scope};
-use crate::config::MappingConfig;
+use crate::config::{MappingConfig, SlamConfig};
 use crate::map::{Keyframe, KeyframeId, LineId, Map, PointId};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Moves the key frame, its neighbours and the landmarks they see; other key frames that see those stay where they
 /// are. Sightings that disagree in the end are removed. Stops early, with what is reached, when `abort` is set.
-pub(crate) fn optimise(map: &mut Map, centre: KeyframeId, config: &MappingConfig, abort: &AtomicBool) {
-    let Some(scope) = scope_around(map, centre, config) else { return };
+///
+/// Stage one moves them by points and lines alone. Stage two, where there are primitives in sight, adds what these say,
+/// and is taken back where it would turn the new key frame by more than its own uncertainty allows.
+pub(crate) fn optimise(map: &mut Map, centre: KeyframeId, config: &SlamConfig, abort: &AtomicBool) {
+    let Some(scope) = scope_around(map, centre, &config.mapping) else { return };
     let mut adjustment = Adjustment::of(map, &scope);
     let aborted = || abort.load(Ordering::Relaxed);
-    let (n_first, n_second) = config.local_iterations;
+    let (n_first, n_second) = config.mapping.local_iterations;
     adjustment.solve(n_first, aborted);
     if !aborted() {
         adjustment.judge_sightings();
         adjustment.solve(n_second, aborted);
+    }
+    if !aborted() && config.features.global_primitives {
+        adjustment.add_primitives(map, &config.primitives, centre);
     }
     adjustment.write_back(map);
 }

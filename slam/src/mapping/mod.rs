@@ -3,17 +3,19 @@
 mod culling;
 mod fusion;
 pub(crate) mod lines;
+pub(crate) mod primitives;
 pub(crate) mod stage;
 mod triangulation;
 
 pub(crate) use triangulation::median_depth;
 
 use crate::bundle;
-use crate::config::SlamConfig;
+use crate::config::{ConfigError, SlamConfig};
 use crate::map::{FrameRecord, Keyframe, KeyframeId, Map, MapUpdate, Observation, PointId, SubmapId};
 use crate::tracking::Sightings;
 use geometry::nalgebra::Vector3;
 use lines::LineMapper;
+use primitives::PrimitiveMapper;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -44,11 +46,17 @@ pub(crate) struct Mapper {
     /// Points on probation, with the key frame that made them.
     recent_points: Vec<PointId>,
     lines: LineMapper,
+    /// Absent where primitives are switched off.
+    primitives: Option<PrimitiveMapper>,
 }
 
 impl Mapper {
-    pub fn new(config: SlamConfig, map: Map) -> Self {
-        Self { config, map, recent_points: Vec::new(), lines: LineMapper::default() }
+    /// # Errors
+    /// If the configuration cannot be used.
+    pub fn new(config: SlamConfig, map: Map) -> Result<Self, ConfigError> {
+        let with_primitives = config.features.lines && config.features.global_primitives;
+        let primitives = with_primitives.then(|| PrimitiveMapper::new(&config)).transpose()?;
+        Ok(Self { config, map, recent_points: Vec::new(), lines: LineMapper::default(), primitives })
     }
 
     pub fn map(&self) -> &Map {
@@ -100,8 +108,11 @@ impl Mapper {
         self.recent_points.extend(made);
         fusion::fuse_with_neighbours(&mut self.map, id, &self.config);
         self.lines.extend(&mut self.map, id, &self.config);
+        if let Some(primitives) = &mut self.primitives {
+            primitives.extend(&mut self.map, id, &self.config);
+        }
         publish(&self.map);
-        bundle::local::optimise(&mut self.map, id, &self.config.mapping, abort);
+        bundle::local::optimise(&mut self.map, id, &self.config, abort);
         culling::cull_keyframes(&mut self.map, id, &self.config);
         publish(&self.map);
         self.update(new.frames)

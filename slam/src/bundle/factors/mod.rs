@@ -1,9 +1,15 @@
 //! The terms of the cost function, one file each.
 
 mod baseline_length;
+mod direction_prior;
 mod line_reprojection;
 mod point_reprojection;
+mod structural_consistency;
+mod vanishing_reprojection;
 
 pub use baseline_length::BaselineLengthFactor;
+pub use direction_prior::DirectionPriorFactor;
 pub use line_reprojection::LineReprojectionFactor;
 pub use point_reprojection::PointReprojectionFactor;
+pub use structural_consistency::StructuralConsistencyFactor;
+pub use vanishing_reprojection::VanishingReprojectionFactor;

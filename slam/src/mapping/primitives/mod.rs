@@ -1,0 +1,37 @@
+//! Global primitives: vanishing directions of key frames, fused over all that share them.
+//! [paper, "Global Primitives"; ALGORITHMS 6]
+
+mod association;
+mod estimate;
+mod upkeep;
+mod vanishing;
+
+pub(crate) use estimate::{DirectionEstimate, estimate_direction};
+
+use crate::config::{ConfigError, SlamConfig};
+use crate::map::{KeyframeId, Map};
+use vanishing::VanishingFinder;
+
+/// Finds vanishing points in key frames and makes and tends the primitives of a map.
+pub(super) struct PrimitiveMapper {
+    finder: VanishingFinder,
+}
+
+impl PrimitiveMapper {
+    /// # Errors
+    /// If the configuration of the search for vanishing points cannot be used.
+    pub fn new(config: &SlamConfig) -> Result<Self, ConfigError> {
+        Ok(Self { finder: VanishingFinder::new(&config.primitives, config.seed)? })
+    }
+
+    /// Takes in the segments of a key frame that is in the map: finds its vanishing points, says which primitives they
+    /// are, makes new ones of those that enough key frames share, joins and retires.
+    pub fn extend(&mut self, map: &mut Map, id: KeyframeId, config: &SlamConfig) {
+        self.finder.find(map, id);
+        association::associate(map, id, &config.primitives);
+        association::create(map, id, &config.primitives);
+        upkeep::merge(map, id, &config.primitives);
+        upkeep::retire(map, id, &config.primitives);
+        upkeep::vote_for_lines(map, id, &config.primitives);
+    }
+}
