@@ -81,6 +81,9 @@ fn main() -> Result<(), Box<dyn Error>> {
                 report.outcome.reason(),
             );
         }
+        for event in &report.map_events {
+            println!("frame {sequence}: {event:?}");
+        }
         *counts.entry(format!("{:?}", report.outcome.state())).or_default() += 1;
         cpu_ms.push(report.cpu_ns as f64 * 1e-6);
         wall_ms.push(report.wall_ns as f64 * 1e-6);
@@ -106,9 +109,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (mut n_posed, mut n_backfilled) = (0, 0);
     for record in records.values() {
         let Some(pose) = record.pose else { continue };
-        let Some(reference_from_world) = map.camera_from_world(pose.reference) else { continue };
-        let world_from_camera = (pose.camera_from_reference * reference_from_world).inverse();
-        write_pose(&mut text, record.timestamp_ns, &world_from_camera)?;
+        let Some((_, camera_from_world)) = map.locate(&pose) else { continue };
+        write_pose(&mut text, record.timestamp_ns, &camera_from_world.inverse())?;
         n_posed += 1;
         n_backfilled += usize::from(record.backfilled);
         debug_assert!(record.state != FrameState::Lost);

@@ -68,9 +68,17 @@ impl Backfill {
         }
     }
 
-    /// Forgets everything: what was placed is no longer in the map.
-    pub fn clear(&mut self) {
-        self.waiting.clear();
+    /// What was placed is no longer in the map: kept frames may be placed anew.
+    pub fn forget_poses(&mut self) {
+        self.waiting.iter_mut().for_each(|waiting| waiting.n_inliers = None);
+        self.backward = None;
+        self.start = None;
+        self.is_mature = false;
+    }
+
+    /// A new submap begins: frames without a pose may still be reached from it, and it is young again.
+    pub fn begin_submap(&mut self) {
+        self.waiting.retain(|waiting| waiting.n_inliers.is_none());
         self.backward = None;
         self.start = None;
         self.is_mature = false;

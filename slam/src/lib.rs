@@ -9,17 +9,20 @@ pub mod config;
 pub mod features;
 mod front_end;
 mod initialisation;
+mod loops;
 pub mod map;
 mod mapping;
 pub mod pipeline;
+mod places;
 pub mod report;
 mod tracking;
 
 pub use clock::{Clock, NoClock};
 pub use config::{
-    ConfigError, FeatureSwitches, InitialisationConfig, KeyframeConfig, LineConfig, MappingConfig,
-    PrimitiveConfig, RelocalisationConfig, SlamConfig, Threading, TrackingConfig,
+    ConfigError, FeatureSwitches, InitialisationConfig, KeyframeConfig, LineConfig, LoopConfig,
+    MappingConfig, PrimitiveConfig, RelocalisationConfig, SlamConfig, SubmapConfig, Threading,
+    TrackingConfig,
 };
 pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::{Frame, FrameError, Pipeline, ResumeError, ResumeState};
-pub use report::{FrameReport, InitialisationWait, LostReason, TrackingOutcome};
+pub use report::{FrameReport, InitialisationWait, LostReason, MapEvent, TrackingOutcome};

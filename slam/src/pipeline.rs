@@ -10,7 +10,7 @@ use crate::map::{
 };
 use crate::mapping::stage::MappingStage;
 use crate::mapping::{InitialMap, Mapper, NewKeyframe};
-use crate::report::{FrameReport, InitialisationWait, TrackingOutcome};
+use crate::report::{FrameReport, InitialisationWait, LostReason, TrackingOutcome};
 use crate::tracking::frame::{Inliers, TrackedFrame};
 use crate::tracking::{Tracked, Tracker};
 use geometry::{Camera, Pose};
@@ -86,13 +86,12 @@ pub enum ResumeError {
 
 /// Frames without a key frame after which the trajectory so far is handed out to be stored.
 const MAX_UNRECORDED_FRAMES: usize = 30;
-/// A map with fewer key frames than this is begun anew when the camera is lost.
-const MIN_KEYFRAMES_TO_KEEP: usize = 6;
 
 /// A monocular SLAM session: frames in, reports and map updates out.
 ///
-/// One frame passes through `extract`, then either `initialise` (no map yet) or `track`, then `extend` (a frame that
-/// shows something new becomes a key frame, and mapping takes it from there).
+/// One frame passes through `extract`, then `track` or, while there is no map to follow, `initialise`, then `extend` (a
+/// frame that shows something new becomes a key frame, and mapping takes it from there). A camera that is lost for long
+/// begins a new submap, while it is still looked for in the others; mapping joins the submaps where they meet.
 pub struct Pipeline {
     config: SlamConfig,
     camera: Camera,
@@ -105,7 +104,14 @@ pub struct Pipeline {
     /// Present while there is no map to follow.
     initialiser: Option<Initialiser>,
     backfill: Backfill,
+    /// The submap the camera is followed in, or is to begin.
     submap: SubmapId,
+    /// The highest submap so far; its number is not given to another.
+    last_submap: SubmapId,
+    /// Time of the first frame of those without a pose until now.
+    lost_since_ns: Option<i64>,
+    /// Frames followed in a young submap since the others were last searched.
+    n_since_search: u64,
     next_keyframe_idx: u64,
     /// Frames not yet handed to mapping to be stored with the next key frame.
     unrecorded: Vec<FrameRecord>,
@@ -122,6 +128,7 @@ struct Verdict {
     frame: Option<TrackedFrame>,
     inliers: Inliers,
     relocalised: bool,
+    n_candidates: Option<usize>,
     is_keyframe: bool,
 }
 
@@ -170,6 +177,9 @@ impl Pipeline {
             initialiser: is_empty.then(|| Initialiser::new(config.initialisation.clone(), config.seed)),
             backfill: Backfill::new(config.clone()),
             submap: map.submaps().last().copied().unwrap_or_default(),
+            last_submap: map.submaps().last().copied().unwrap_or_default(),
+            lost_since_ns: None,
+            n_since_search: 0,
             next_keyframe_idx: map.last_ids().keyframe,
             map: Arc::new(map),
             unrecorded: Vec::new(),
@@ -195,8 +205,12 @@ impl Pipeline {
         let (view, line_statistics) = self.extract(&frame, &mut stopwatch);
         self.adopt_map();
         stopwatch.lap("adopt");
-        let mut verdict = if self.initialiser.is_some() { self.initialise(&view) } else { self.track(&view) };
-        stopwatch.lap(if self.initialiser.is_some() { "initialise" } else { "track" });
+        let mut verdict = self.track(&view);
+        stopwatch.lap(if verdict.n_candidates.is_some() { "relocalise" } else { "track" });
+        if verdict.frame.is_none() && self.initialiser.is_some() {
+            verdict = self.initialise(&view, verdict.n_candidates);
+            stopwatch.lap("initialise");
+        }
         self.record(&view, &verdict);
         verdict.is_keyframe |= self.extend(&verdict);
         stopwatch.lap("extend");
@@ -213,7 +227,7 @@ impl Pipeline {
 
     /// Lets mapping finish what it has begun and hands out every frame not yet in an update.
     pub fn finish(&mut self) -> Vec<MapUpdate> {
-        self.mapping.wait();
+        self.mapping.settle();
         self.adopt_map();
         while !self.backfill.is_done() {
             self.unrecorded.extend(self.backfill.step(&self.map, true));
@@ -275,19 +289,21 @@ impl Pipeline {
         if !Arc::ptr_eq(&newest, &self.map) {
             self.map = newest;
             self.tracker.adopt(&self.map);
+            self.submap = self.tracker.last_frame().map_or(self.submap, |last| last.submap);
         }
     }
 
-    /// Tries to begin a map with this view.
-    fn initialise(&mut self, view: &View) -> Verdict {
+    /// Tries to begin a map, or a further submap, with this view.
+    fn initialise(&mut self, view: &View, n_candidates: Option<usize>) -> Verdict {
         let attempt = match &mut self.initialiser {
             Some(initialiser) if self.mapping_enabled => initialiser.try_start(view.clone()),
-            _ => return Verdict::nowhere(TrackingOutcome::Initialising(InitialisationWait::MappingDisabled)),
+            _ => Err(InitialisationWait::MappingDisabled),
         };
-        match attempt {
+        let verdict = match attempt {
             Err(wait) => Verdict::nowhere(TrackingOutcome::Initialising(wait)),
             Ok(pair) => self.begin_map(pair),
-        }
+        };
+        Verdict { n_candidates, ..verdict }
     }
 
     fn begin_map(&mut self, pair: InitialPair) -> Verdict {
@@ -330,8 +346,7 @@ impl Pipeline {
         if let Some(keyframe) = self.map.keyframe(second_id) {
             second.points.clone_from(&keyframe.points);
         }
-        self.initialiser = None;
-        self.choose_n_features();
+        self.follow_map();
         self.tracker.adopt(&self.map);
         self.tracker.start(second.clone(), &self.map);
         Verdict {
@@ -339,32 +354,108 @@ impl Pipeline {
             frame: Some(second),
             inliers,
             relocalised: false,
+            n_candidates: None,
             is_keyframe: true,
         }
     }
 
+    /// Follows the camera in the map, or looks for it there.
     fn track(&mut self, view: &View) -> Verdict {
-        let Tracked { outcome, frame, inliers, relocalised } =
-            self.tracker.track(view.sequence, view.timestamp_ns, view.features.clone(), &self.map);
-        if frame.is_none() && self.mapping_enabled && self.map.n_keyframes() < MIN_KEYFRAMES_TO_KEEP {
-            self.begin_anew();
+        if self.map.n_keyframes() == 0 {
+            return Verdict::nowhere(TrackingOutcome::Lost(LostReason::NotRelocalised { n_candidates: 0 }));
         }
-        Verdict { outcome, frame, inliers, relocalised, is_keyframe: false }
+        let was_followed = self.tracker.last_frame().is_some();
+        let mut tracked =
+            self.tracker.track(view.sequence, view.timestamp_ns, view.features.clone(), &self.map);
+        match &tracked.frame {
+            None => self.lose(view, was_followed),
+            Some(frame) => {
+                self.submap = frame.submap;
+                self.follow_map();
+                if let Some(elsewhere) = self.find_elsewhere(view) {
+                    tracked = elsewhere;
+                }
+            }
+        }
+        let Tracked { outcome, frame, inliers, relocalised, n_candidates } = tracked;
+        Verdict { outcome, frame, inliers, relocalised, n_candidates, is_keyframe: false }
     }
 
-    /// Drops a map that was lost before it was of any use.
-    fn begin_anew(&mut self) {
+    /// Notes that there is a map to follow.
+    fn follow_map(&mut self) {
+        self.lost_since_ns = None;
+        if self.initialiser.take().is_some() {
+            self.n_since_search = 0;
+            self.choose_n_features();
+        }
+    }
+
+    /// While a further submap is young, looks for its frames in the others, and goes on there if one is found.
+    fn find_elsewhere(&mut self, view: &View) -> Option<Tracked> {
+        let has_others = self.map.keyframes().any(|keyframe| keyframe.submap != self.submap);
+        if !has_others || !self.mapping_enabled || !self.is_young(self.submap) {
+            return None;
+        }
+        self.n_since_search += 1;
+        if !self.n_since_search.is_multiple_of(self.config.submaps.search_interval) {
+            return None;
+        }
+        let features = view.features.clone();
+        let found = self.tracker.find_elsewhere(
+            view.sequence,
+            view.timestamp_ns,
+            features,
+            &self.map,
+            self.submap,
+        )?;
+        self.discard_submap();
+        self.submap = found.frame.as_ref().map_or(self.submap, |frame| frame.submap);
+        Some(found)
+    }
+
+    /// A frame has no pose: a map that was lost before it was of any use goes at once, another is kept and in time followed
+    /// by a new one.
+    fn lose(&mut self, view: &View, was_followed: bool) {
+        if !self.mapping_enabled || self.initialiser.is_some() {
+            return;
+        }
+        let since = *self.lost_since_ns.get_or_insert(view.timestamp_ns);
+        let is_young = self.is_young(self.submap);
+        if was_followed && is_young || view.timestamp_ns - since >= self.config.submaps.max_lost_ns {
+            self.begin_anew(is_young);
+        }
+    }
+
+    /// Whether a submap is too small to be of use.
+    fn is_young(&self, submap: SubmapId) -> bool {
+        let min_keyframes = self.config.submaps.min_keyframes;
+        self.map.keyframes_of(submap).take(min_keyframes).count() < min_keyframes
+    }
+
+    /// Begins a new submap in place of or beside the one that was lost.
+    fn begin_anew(&mut self, discard: bool) {
+        if discard {
+            self.discard_submap();
+        } else {
+            self.at_risk.clear();
+            self.backfill.begin_submap();
+        }
+        self.tracker.forget();
+        self.last_submap = SubmapId(self.last_submap.max(self.submap).0 + 1);
+        self.submap = self.last_submap;
+        self.initialiser = Some(Initialiser::new(self.config.initialisation.clone(), self.config.seed));
+        self.choose_n_features();
+    }
+
+    /// Drops the submap that was begun last. Its frames may yet be placed in another.
+    fn discard_submap(&mut self) {
         self.mapping.discard(self.submap);
         self.map = self.mapping.newest_map();
-        self.tracker.forget();
         self.tracker.adopt(&self.map);
-        self.backfill.clear();
+        self.backfill.forget_poses();
         for record in self.at_risk.drain(..) {
             self.unrecorded.push(FrameRecord { pose: None, state: FrameState::Initialising, ..record });
         }
-        self.submap = SubmapId(self.submap.0 + 1);
-        self.initialiser = Some(Initialiser::new(self.config.initialisation.clone(), self.config.seed));
-        self.choose_n_features();
     }
 
     /// Notes the frame in the trajectory.
@@ -378,7 +469,7 @@ impl Pipeline {
             backfilled: false,
         };
         self.unrecorded.push(record);
-        if self.map.n_keyframes() >= MIN_KEYFRAMES_TO_KEEP {
+        if !self.is_young(self.submap) {
             self.at_risk.clear();
         } else if pose.is_some() {
             self.at_risk.push(record);
@@ -407,8 +498,10 @@ impl Pipeline {
         if !self.lossless && !self.mapping.is_idle() {
             return false;
         }
+        let Some(place) = frame.pose_in(&self.map) else { return false };
         let id = self.next_keyframe_id();
         let new = NewKeyframe {
+            place,
             keyframe: frame.to_keyframe(id, Some(frame.reference)),
             sightings: self.tracker.take_sightings(),
             frames: std::mem::take(&mut self.unrecorded),
@@ -453,6 +546,8 @@ impl Pipeline {
             n_inlier_lines: verdict.inliers.n_lines,
             is_keyframe: verdict.is_keyframe,
             relocalised: verdict.relocalised,
+            n_relocalisation_candidates: verdict.n_candidates,
+            map_events: self.mapping.take_events(),
             stages: times.stages,
             wall_ns: times.wall_ns,
             cpu_ns: times.cpu_ns,
@@ -476,6 +571,13 @@ impl Pipeline {
 
 impl Verdict {
     fn nowhere(outcome: TrackingOutcome) -> Self {
-        Self { outcome, frame: None, inliers: Inliers::default(), relocalised: false, is_keyframe: false }
+        Self {
+            outcome,
+            frame: None,
+            inliers: Inliers::default(),
+            relocalised: false,
+            n_candidates: None,
+            is_keyframe: false,
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! What came of one frame: values with the measurements beside the thresholds they were held against.
 
-use crate::map::{FrameState, SubmapId};
+use crate::map::{FrameState, KeyframeId, SubmapId};
 use geometry::Pose;
 use vision::lines::LineTrackingStatistics;
 
@@ -135,6 +135,35 @@ impl TrackingOutcome {
     }
 }
 
+/// A correction of the map by a place that was seen again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MapEvent {
+    /// A loop within a submap was closed.
+    LoopClosed {
+        /// The key frame that shows the place again.
+        keyframe: KeyframeId,
+        /// The key frame that showed it before.
+        matched: KeyframeId,
+        /// Points of the place found in the key frame.
+        n_matches: usize,
+        /// Scale of the place as it was first mapped, over that at which it was mapped again: the drift of the scale.
+        scale: f64,
+    },
+    /// Two submaps became one.
+    SubmapsMerged {
+        /// The key frame that shows the place.
+        keyframe: KeyframeId,
+        /// The key frame of the other submap that shows it.
+        matched: KeyframeId,
+        /// The submap that is part of the other one now.
+        gone: SubmapId,
+        /// The submap whose frame of reference remains.
+        kept: SubmapId,
+        /// Points of the place found in the key frame.
+        n_matches: usize,
+    },
+}
+
 /// Wall time a named stage took.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StageTime {
@@ -171,6 +200,10 @@ pub struct FrameReport {
     pub is_keyframe: bool,
     /// The pose was found by recognising the place, not by following the motion.
     pub relocalised: bool,
+    /// Places that were tried to find the camera, if it had to be looked for; the stage `relocalise` tells how long.
+    pub n_relocalisation_candidates: Option<usize>,
+    /// Corrections of the map that took effect with this frame.
+    pub map_events: Vec<MapEvent>,
     /// Wall times by stage in the order they ran; empty without a clock.
     pub stages: Vec<StageTime>,
     /// Wall time of the whole frame on the tracking thread, nanoseconds; 0 without a clock.

@@ -51,8 +51,8 @@ impl Session {
     /// Camera positions by frame number.
     fn positions(&self, map: &Map) -> BTreeMap<u64, Vector3<f64>> {
         let world_from_camera = |record: &FrameRecord| -> Option<Pose> {
-            let pose = record.pose?;
-            Some((pose.camera_from_reference * map.camera_from_world(pose.reference)?).inverse())
+            let (_, camera_from_world) = map.locate(&record.pose?)?;
+            Some(camera_from_world.inverse())
         };
         self.records
             .iter()

@@ -3,6 +3,7 @@
 pub(crate) mod adjustment;
 pub(crate) mod anchored_line;
 pub mod factors;
+pub(crate) mod global;
 pub(crate) mod local;
 pub(crate) mod stage_two;
 pub(crate) mod two_view;

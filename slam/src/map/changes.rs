@@ -84,14 +84,15 @@ pub struct FrameRecord {
     pub backfilled: bool,
 }
 
-/// A pose relative to a key frame.
+/// A pose relative to a key frame. [`Map::locate`] tells where that is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FramePose {
-    /// The submap of the reference key frame.
+    /// The submap the reference key frame was in when the frame was placed; it may have been merged since.
     pub submap: SubmapId,
     /// The key frame the pose is relative to; it may have been removed since.
     pub reference: KeyframeId,
-    /// The frame's camera from the reference key frame's camera; translation in map units.
+    /// The frame's camera from the reference key frame's camera; translation in the reference's own
+    /// [unit](super::Keyframe::unit).
     pub camera_from_reference: Pose,
 }
 

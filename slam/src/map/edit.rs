@@ -55,7 +55,8 @@ impl Map {
         for primitive_id in removed.vanishing.iter().filter_map(|seen| seen.primitive) {
             self.leave_primitive_observation(primitive_id, id);
         }
-        let camera_from_anchor = removed.camera_from_world * anchor_from_world.inverse();
+        let mut camera_from_anchor = removed.camera_from_world * anchor_from_world.inverse();
+        camera_from_anchor.translation /= self.keyframe(anchor).map_or(1.0, |keyframe| keyframe.unit);
         Arc::make_mut(&mut self.removed_keyframes)
             .insert(id, RemovedKeyframe { id, anchor, camera_from_anchor });
         let children: Vec<KeyframeId> = self
@@ -326,7 +327,7 @@ impl Map {
         }
     }
 
-    fn edit_point(&mut self, id: PointId, edit: impl FnOnce(&mut PointLandmark)) {
+    pub(super) fn edit_point(&mut self, id: PointId, edit: impl FnOnce(&mut PointLandmark)) {
         if let Some(point) = self.points.get_mut(id.index()) {
             edit(point);
             self.changes.points.insert(id);

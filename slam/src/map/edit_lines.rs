@@ -176,7 +176,7 @@ impl Map {
         }
     }
 
-    fn edit_line(&mut self, id: LineId, edit: impl FnOnce(&mut LineLandmark)) {
+    pub(super) fn edit_line(&mut self, id: LineId, edit: impl FnOnce(&mut LineLandmark)) {
         if let Some(line) = self.lines.get_mut(id.index()) {
             edit(line);
             self.changes.lines.insert(id);

@@ -19,6 +19,9 @@ pub struct Keyframe {
     pub timestamp_ns: i64,
     /// Pose; lengths in map units.
     pub camera_from_world: Pose,
+    /// Map units per unit in which the offsets of the frames that hang on this key frame are given. One, until a
+    /// correction changes the scale of the map around the key frame; handed on to the key frames made beside it.
+    pub unit: f64,
     /// What the front end measured; never changes.
     pub features: Arc<FrameFeatures>,
     /// The landmark each keypoint observes, one entry per keypoint.
@@ -53,6 +56,7 @@ impl Keyframe {
             sequence,
             timestamp_ns,
             camera_from_world,
+            unit: 1.0,
             features,
             points,
             lines,
@@ -90,6 +94,7 @@ pub struct RemovedKeyframe {
     pub id: KeyframeId,
     /// The key frame its pose now hangs on, which may have been removed later itself.
     pub anchor: KeyframeId,
-    /// The removed key frame's pose relative to the anchor's at the time of removal.
+    /// The removed key frame's pose relative to the anchor's at the time of removal, in the anchor's own unit. Only
+    /// key frames of (nearly) the same unit hang on one another this way.
     pub camera_from_anchor: Pose,
 }

@@ -6,6 +6,7 @@
 mod changes;
 mod edit;
 mod edit_lines;
+mod edit_places;
 mod edit_primitives;
 mod ids;
 mod keyframe;
@@ -25,7 +26,6 @@ pub use line::LineLandmark;
 pub use point::{Observation, PointLandmark};
 pub use primitive::{GlobalPrimitive, PrimitiveObservation, VanishingObservation};
 
-use geometry::Pose;
 use paged::Paged;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -159,22 +159,6 @@ impl Map {
             line: self.next_line_idx as u64,
             primitive: self.next_primitive_idx as u64,
         }
-    }
-
-    /// Pose of a key frame that is or was in the map, following removed ones to what they hang on.
-    pub fn camera_from_world(&self, id: KeyframeId) -> Option<Pose> {
-        let mut camera_from_current = Pose::identity();
-        let mut current = id;
-        // An anchor is always older knowledge than what hangs on it, so the walk ends; the bound is for safety.
-        for _ in 0..=self.removed_keyframes.len() {
-            if let Some(keyframe) = self.keyframe(current) {
-                return Some(camera_from_current * keyframe.camera_from_world);
-            }
-            let removed = self.removed_keyframes.get(&current)?;
-            camera_from_current = camera_from_current * removed.camera_from_anchor;
-            current = removed.anchor;
-        }
-        None
     }
 
     /// The submaps that have key frames, in order.

@@ -96,8 +96,8 @@ impl Map {
 
     fn check_keyframe(&self, keyframe: &Keyframe) -> Result<(), MapError> {
         let id = keyframe.id;
-        if !keyframe.camera_from_world.is_finite() {
-            return Err(MapError(format!("key frame {id} has a pose that is not finite")));
+        if !keyframe.camera_from_world.is_finite() || !keyframe.unit.is_finite() || keyframe.unit <= 0.0 {
+            return Err(MapError(format!("key frame {id} has a pose or a unit that is not finite")));
         }
         if keyframe.points.len() != keyframe.features.keypoints.len() {
             return Err(MapError(format!(

@@ -7,6 +7,8 @@ use crate::map::{Keyframe, KeyframeId, Map, PointId};
 const MIN_OBSERVATIONS: usize = 3;
 /// Key frames other than the judged one that must see a point for it to count as redundant.
 const N_REDUNDANT_OBSERVERS: usize = 3;
+/// Largest difference between the units of a culled key frame and of the one that takes its place, as a logarithm.
+const MAX_UNIT_STEP: f64 = 0.05;
 /// Key frames of a submap that are never culled, counted from the newest: they carry the tracking.
 const N_PROTECTED: u64 = 2;
 
@@ -70,8 +72,13 @@ fn redundancy(map: &Map, keyframe: &Keyframe) -> f64 {
 }
 
 fn is_protected(map: &Map, id: KeyframeId, newest: KeyframeId) -> bool {
-    let is_origin = map.keyframe(id).is_none_or(|keyframe| keyframe.parent.is_none());
-    is_origin || newest.get() - id.get().min(newest.get()) <= N_PROTECTED
+    let keyframe = map.keyframe(id);
+    let parent = keyframe.and_then(|keyframe| map.keyframe(keyframe.parent?));
+    // What hangs on a removed key frame is measured in its unit, so only one of the same unit can take its place.
+    let same_unit =
+        |keyframe: &Keyframe, parent: &Keyframe| (keyframe.unit / parent.unit).ln().abs() < MAX_UNIT_STEP;
+    let is_held = !keyframe.zip(parent).is_some_and(|(keyframe, parent)| same_unit(keyframe, parent));
+    is_held || newest.get() - id.get().min(newest.get()) <= N_PROTECTED
 }
 
 fn remove(map: &mut Map, id: KeyframeId) {

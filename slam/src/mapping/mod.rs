@@ -1,7 +1,8 @@
 //! Extending and tending the map, key frame by key frame.
 
 mod culling;
-mod fusion;
+pub(crate) mod fusion;
+mod global_stage;
 pub(crate) mod lines;
 pub(crate) mod primitives;
 pub(crate) mod stage;
@@ -11,9 +12,14 @@ pub(crate) use triangulation::median_depth;
 
 use crate::bundle;
 use crate::config::{ConfigError, SlamConfig};
-use crate::map::{FrameRecord, Keyframe, KeyframeId, Map, MapUpdate, Observation, PointId, SubmapId};
+use crate::loops::LoopCloser;
+use crate::map::{
+    FramePose, FrameRecord, Keyframe, KeyframeId, Map, MapUpdate, Observation, PointId, SubmapId,
+};
+use crate::report::MapEvent;
 use crate::tracking::Sightings;
 use geometry::nalgebra::Vector3;
+use global_stage::GlobalStage;
 use lines::LineMapper;
 use primitives::PrimitiveMapper;
 use std::sync::Arc;
@@ -23,6 +29,8 @@ use std::sync::atomic::AtomicBool;
 #[derive(Debug)]
 pub(crate) struct NewKeyframe {
     pub keyframe: Keyframe,
+    /// Where it is relative to its reference key frame. The map may be corrected before the key frame arrives in it.
+    pub place: FramePose,
     /// How often points were seen since the key frame before.
     pub sightings: Sightings,
     /// Frames of the trajectory since the key frame before.
@@ -48,6 +56,11 @@ pub(crate) struct Mapper {
     lines: LineMapper,
     /// Absent where primitives are switched off.
     primitives: Option<PrimitiveMapper>,
+    /// Absent where loops are not to be closed.
+    loops: Option<LoopCloser>,
+    global: GlobalStage,
+    /// Corrections of the map that nobody was told of yet.
+    events: Vec<MapEvent>,
 }
 
 impl Mapper {
@@ -56,7 +69,15 @@ impl Mapper {
     pub fn new(config: SlamConfig, map: Map) -> Result<Self, ConfigError> {
         let with_primitives = config.features.lines && config.features.global_primitives;
         let primitives = with_primitives.then(|| PrimitiveMapper::new(&config)).transpose()?;
-        Ok(Self { config, map, recent_points: Vec::new(), lines: LineMapper::default(), primitives })
+        let loops = config.features.loop_closing.then(|| LoopCloser::new(&config));
+        let global = GlobalStage::new(config.threading);
+        let (recent_points, lines, events) = (Vec::new(), LineMapper::default(), Vec::new());
+        Ok(Self { config, map, recent_points, lines, primitives, loops, global, events })
+    }
+
+    /// Hands out what corrected the map since the last call.
+    pub fn take_events(&mut self) -> Vec<MapEvent> {
+        std::mem::take(&mut self.events)
     }
 
     pub fn map(&self) -> &Map {
@@ -81,6 +102,7 @@ impl Mapper {
 
     /// Removes every key frame and point of a submap that came to nothing.
     pub fn discard(&mut self, submap: SubmapId) -> MapUpdate {
+        self.global.cancel();
         self.map.remove_submap(submap);
         self.recent_points.retain(|id| self.map.point(*id).is_some());
         self.lines.forget_missing(&self.map);
@@ -95,6 +117,7 @@ impl Mapper {
         publish: &mut dyn FnMut(&Map),
         abort: &AtomicBool,
     ) -> MapUpdate {
+        self.take_over_global(false);
         let id = new.keyframe.id;
         for (point, n_visible, n_found) in new.sightings.iter() {
             self.map.count_sightings(point, n_visible, n_found);
@@ -102,7 +125,9 @@ impl Mapper {
         for (line, n_visible, n_found) in new.sightings.lines() {
             self.map.count_line_sightings(line, n_visible, n_found);
         }
-        self.insert(new.keyframe);
+        if !self.insert(new.keyframe, &new.place) {
+            return self.update(new.frames);
+        }
         culling::cull_recent_points(&mut self.map, &mut self.recent_points, id, &self.config.mapping);
         let made = triangulation::triangulate_with_neighbours(&mut self.map, id, &self.config.mapping);
         self.recent_points.extend(made);
@@ -115,15 +140,54 @@ impl Mapper {
         bundle::local::optimise(&mut self.map, id, &self.config, abort);
         culling::cull_keyframes(&mut self.map, id, &self.config);
         publish(&self.map);
+        self.close_loops(id);
         self.update(new.frames)
     }
 
-    /// Adds frames to the trajectory without touching the map.
+    /// Adds frames to the trajectory.
     pub fn record(&mut self, frames: Vec<FrameRecord>) -> MapUpdate {
+        self.take_over_global(false);
         self.update(frames)
     }
 
-    fn insert(&mut self, keyframe: Keyframe) {
+    /// Waits for the adjustment of the whole map that is under way, if any, and takes it over.
+    pub fn settle(&mut self) -> MapUpdate {
+        self.take_over_global(true);
+        self.update(Vec::new())
+    }
+
+    /// Recognises the place the key frame shows, corrects the map by it, and has all of it adjusted.
+    fn close_loops(&mut self, id: KeyframeId) {
+        let Some(closed) = self.loops.as_mut().and_then(|loops| loops.close(&mut self.map, id)) else {
+            return;
+        };
+        self.events.push(closed.event);
+        self.lines.forget_missing(&self.map);
+        self.recent_points.retain(|id| self.map.point(*id).is_some());
+        if closed.moved {
+            let max_iterations = self.config.loops.global_iterations;
+            if let Some(result) = self.global.start(&self.map, closed.submap, max_iterations) {
+                result.merge_into(&mut self.map);
+            }
+        }
+    }
+
+    fn take_over_global(&mut self, wait: bool) {
+        if let Some(result) = self.global.take(wait) {
+            result.merge_into(&mut self.map);
+        }
+    }
+
+    /// Puts a key frame into the map where its reference now is. `false` if that has gone with its submap.
+    fn insert(&mut self, mut keyframe: Keyframe, place: &FramePose) -> bool {
+        let Some((anchor, (submap, camera_from_world))) =
+            self.map.anchor_of(place.reference).zip(self.map.locate(place))
+        else {
+            return false;
+        };
+        keyframe.parent = Some(anchor.id);
+        (keyframe.submap, keyframe.camera_from_world) = (submap, camera_from_world);
+        keyframe.unit = anchor.unit;
         let id = keyframe.id;
         self.map.add_keyframe(keyframe);
         let seen: Vec<PointId> = self
@@ -142,6 +206,7 @@ impl Mapper {
         if let Some(parent) = strongest {
             self.map.set_parent(id, parent);
         }
+        true
     }
 
     fn update(&mut self, frames: Vec<FrameRecord>) -> MapUpdate {

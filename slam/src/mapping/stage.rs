@@ -4,6 +4,7 @@
 
 use super::{InitialMap, Mapper, NewKeyframe};
 use crate::map::{FrameRecord, Map, MapUpdate, SubmapId};
+use crate::report::MapEvent;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -25,6 +26,7 @@ pub(crate) enum MappingStage {
 pub(crate) struct Shared {
     newest: Arc<Mutex<Arc<Map>>>,
     updates: Arc<Mutex<Vec<MapUpdate>>>,
+    events: Arc<Mutex<Vec<MapEvent>>>,
 }
 
 /// The mapping thread's other end.
@@ -41,6 +43,8 @@ enum Request {
     AddKeyframe(Box<NewKeyframe>),
     Discard(SubmapId),
     Record(Vec<FrameRecord>),
+    /// Waits for global bundle adjustment.
+    Settle,
     /// Answered when everything before it is done.
     Barrier(SyncSender<()>),
 }
@@ -78,6 +82,11 @@ impl MappingStage {
         std::mem::take(&mut *lock(&self.shared().updates))
     }
 
+    /// Corrections of the map since the last call, oldest first.
+    pub fn take_events(&self) -> Vec<MapEvent> {
+        std::mem::take(&mut *lock(&self.shared().events))
+    }
+
     /// Whether a key frame would be taken in at once.
     pub fn is_idle(&self) -> bool {
         match self {
@@ -110,6 +119,12 @@ impl MappingStage {
     /// Adds frames to the trajectory, after everything requested so far.
     pub fn record(&mut self, frames: Vec<FrameRecord>) {
         self.request(Request::Record(frames));
+    }
+
+    /// Waits until everything requested so far is done, and all that follows from it.
+    pub fn settle(&mut self) {
+        self.request(Request::Settle);
+        self.wait();
     }
 
     /// Waits until everything requested so far is done.
@@ -174,7 +189,11 @@ impl Worker {
 
 impl Shared {
     fn new(map: &Map) -> Self {
-        Self { newest: Arc::new(Mutex::new(Arc::new(map.clone()))), updates: Arc::default() }
+        Self {
+            newest: Arc::new(Mutex::new(Arc::new(map.clone()))),
+            updates: Arc::default(),
+            events: Arc::default(),
+        }
     }
 
     fn carry_out(&self, mapper: &mut Mapper, request: Request, abort: &AtomicBool) {
@@ -183,11 +202,13 @@ impl Shared {
             Request::AddKeyframe(new) => mapper.add_keyframe(*new, &mut |map| self.publish(map), abort),
             Request::Discard(submap) => mapper.discard(submap),
             Request::Record(frames) => mapper.record(frames),
+            Request::Settle => mapper.settle(),
             Request::Barrier(done) => {
                 let _ = done.send(());
                 return;
             }
         };
+        lock(&self.events).append(&mut mapper.take_events());
         *lock(&self.newest) = update.map.clone();
         let mut updates = lock(&self.updates);
         let is_full = updates.len() >= MAX_WAITING_UPDATES;

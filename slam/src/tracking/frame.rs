@@ -51,12 +51,7 @@ impl TrackedFrame {
 
     /// The frame's place in the trajectory, relative to its reference key frame as it stands in `map`.
     pub fn pose_in(&self, map: &Map) -> Option<FramePose> {
-        let reference_from_world = map.camera_from_world(self.reference)?;
-        Some(FramePose {
-            submap: self.submap,
-            reference: self.reference,
-            camera_from_reference: self.camera_from_world * reference_from_world.inverse(),
-        })
+        map.place_beside(self.reference, &self.camera_from_world)
     }
 
     /// Makes the frame a key frame with the given identity.
@@ -67,6 +62,7 @@ impl TrackedFrame {
             sequence: self.sequence,
             timestamp_ns: self.timestamp_ns,
             camera_from_world: self.camera_from_world,
+            unit: 1.0,
             features: self.features.clone(),
             points: self.points.clone(),
             lines: self.lines.clone(),

@@ -39,6 +39,8 @@ pub(crate) struct Tracked {
     pub frame: Option<TrackedFrame>,
     pub inliers: Inliers,
     pub relocalised: bool,
+    /// Places that were tried, if the camera had to be looked for.
+    pub n_candidates: Option<usize>,
 }
 
 /// Follows the camera in a map that it only reads.
@@ -60,6 +62,8 @@ pub(crate) struct Tracker {
 struct LastFrame {
     frame: TrackedFrame,
     place: FramePose,
+    /// The [unit](crate::map::Keyframe::unit) of the reference key frame when the motion was measured.
+    unit: f64,
     /// `camera_now_from_camera_before` over the last interval, and that interval, nanoseconds.
     motion: Option<(Pose, i64)>,
 }
@@ -99,12 +103,17 @@ impl Tracker {
         }
         self.line_tracks.learn(map);
         let Some(last) = &mut self.last else { return };
-        match map.camera_from_world(last.place.reference) {
-            Some(reference_from_world) => {
-                last.frame.camera_from_world = last.place.camera_from_reference * reference_from_world;
-            }
-            None => self.last = None,
+        let Some((anchor, (submap, camera_from_world))) =
+            map.anchor_of(last.place.reference).zip(map.locate(&last.place))
+        else {
+            self.last = None;
+            return;
+        };
+        (last.frame.submap, last.frame.camera_from_world) = (submap, camera_from_world);
+        if let Some((motion, _)) = &mut last.motion {
+            motion.translation *= anchor.unit / last.unit;
         }
+        last.unit = anchor.unit;
     }
 
     /// How much the camera should have turned since the last frame, if it was placed and the motion is known.
@@ -157,16 +166,48 @@ impl Tracker {
         let relocalised = followed.is_none();
         let Some(mut frame) = followed.or_else(|| {
             let frame = blank(Pose::identity(), KeyframeId::from_index(0), SubmapId::default());
-            self.relocaliser.as_mut()?.relocalise(frame, map)
+            self.relocaliser.as_mut()?.relocalise(frame, map, None)
         }) else {
             let n_candidates = self.relocaliser.as_ref().map_or(0, Relocaliser::n_candidates);
-            return self.lose(LostReason::NotRelocalised { n_candidates });
+            let lost = self.lose(LostReason::NotRelocalised { n_candidates });
+            return Tracked { n_candidates: Some(n_candidates), ..lost };
         };
         if relocalised {
             self.n_since_relocalisation = Some(0);
         }
         let inliers = self.track_local_map(&mut frame, map);
         self.conclude(frame, inliers, relocalised, map)
+    }
+
+    /// Looks for a frame in the submaps other than the one it is followed in. Where it is found there, the camera is
+    /// followed there from now on.
+    pub fn find_elsewhere(
+        &mut self,
+        sequence: u64,
+        timestamp_ns: i64,
+        features: Arc<FrameFeatures>,
+        map: &Map,
+        except: SubmapId,
+    ) -> Option<Tracked> {
+        let blank = TrackedFrame {
+            sequence,
+            timestamp_ns,
+            points: vec![None; features.len()],
+            lines: vec![None; features.lines.len()],
+            features,
+            camera_from_world: Pose::identity(),
+            reference: KeyframeId::from_index(0),
+            submap: except,
+        };
+        let mut frame = self.relocaliser.as_mut()?.relocalise(blank, map, Some(except))?;
+        let before = (self.n_since_relocalisation, self.last.take());
+        self.n_since_relocalisation = Some(0);
+        let inliers = self.track_local_map(&mut frame, map);
+        if inliers.total() >= self.config.tracking.min_inliers {
+            return Some(self.conclude(frame, inliers, true, map));
+        }
+        (self.n_since_relocalisation, self.last) = before;
+        None
     }
 
     /// Whether a frame with these inliers should become a key frame.
@@ -275,17 +316,25 @@ impl Tracker {
         });
         self.line_tracks.remember(&frame);
         self.remember(frame.clone(), map, motion);
-        Tracked { outcome, frame: Some(frame), inliers, relocalised }
+        let searched = self.relocaliser.as_ref().filter(|_| relocalised);
+        let n_candidates = searched.map(Relocaliser::n_candidates);
+        Tracked { outcome, frame: Some(frame), inliers, relocalised, n_candidates }
     }
 
     fn remember(&mut self, frame: TrackedFrame, map: &Map, motion: Option<(Pose, i64)>) {
-        self.last = frame.pose_in(map).map(|place| LastFrame { frame, place, motion });
+        let unit = map.anchor_of(frame.reference).map_or(1.0, |anchor| anchor.unit);
+        self.last = frame.pose_in(map).map(|place| LastFrame { frame, place, unit, motion });
     }
 
     fn lose(&mut self, reason: LostReason) -> Tracked {
         self.last = None;
-        let outcome = TrackingOutcome::Lost(reason);
-        Tracked { outcome, frame: None, inliers: Inliers::default(), relocalised: false }
+        Tracked {
+            outcome: TrackingOutcome::Lost(reason),
+            frame: None,
+            inliers: Inliers::default(),
+            relocalised: false,
+            n_candidates: None,
+        }
     }
 }
 

@@ -4,13 +4,13 @@ use super::frame::TrackedFrame;
 use super::pose::place_frame;
 use super::search::{Expected, match_keyframe, search_by_motion};
 use crate::config::RelocalisationConfig;
-use crate::map::{Keyframe, KeyframeId, Map, PointId};
+use crate::map::{Keyframe, Map, PointId, SubmapId};
+use crate::places::KeyframePlaces;
 use geometry::absolute_pose::{PoseObservation, ransac_pose};
 use geometry::ransac::RansacConfig;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
-use vision::place::PlaceIndex;
 
 /// Radius of the guided search around a pose found from few matches, pixels of the level.
 const GUIDED_RADIUS_PX: f64 = 10.0;
@@ -20,8 +20,7 @@ const N_NEIGHBOURS: usize = 10;
 /// Recognises places. Learns the key frames of a map as they appear.
 pub(crate) struct Relocaliser {
     config: RelocalisationConfig,
-    index: PlaceIndex,
-    known: BTreeSet<KeyframeId>,
+    places: KeyframePlaces,
     rng: ChaCha8Rng,
     n_candidates: usize,
 }
@@ -30,8 +29,7 @@ impl Relocaliser {
     pub fn new(config: RelocalisationConfig, seed: u64) -> Self {
         Self {
             config,
-            index: PlaceIndex::new(),
-            known: BTreeSet::new(),
+            places: KeyframePlaces::default(),
             rng: ChaCha8Rng::seed_from_u64(seed),
             n_candidates: 0,
         }
@@ -39,17 +37,7 @@ impl Relocaliser {
 
     /// Enters the key frames that are new in the map and drops those that are gone.
     pub fn learn(&mut self, map: &Map) {
-        let gone: Vec<KeyframeId> =
-            self.known.iter().copied().filter(|id| map.keyframe(*id).is_none()).collect();
-        for id in gone {
-            self.known.remove(&id);
-            self.index.remove(id.get());
-        }
-        for keyframe in map.keyframes() {
-            if self.known.insert(keyframe.id) {
-                self.index.insert(keyframe.id.get(), &keyframe.features.descriptors);
-            }
-        }
+        self.places.learn(map);
     }
 
     /// Places that were tried for the last frame.
@@ -57,14 +45,20 @@ impl Relocaliser {
         self.n_candidates
     }
 
-    /// The frame with a pose and matches, if a place in the map fits it.
-    pub fn relocalise(&mut self, blank: TrackedFrame, map: &Map) -> Option<TrackedFrame> {
-        let candidates = self.index.query(&blank.features.descriptors, self.config.max_candidates);
+    /// The frame with a pose and matches, if a place in the map fits it. A submap may be left out.
+    pub fn relocalise(
+        &mut self,
+        blank: TrackedFrame,
+        map: &Map,
+        except: Option<SubmapId>,
+    ) -> Option<TrackedFrame> {
+        let is_wanted = |id| map.keyframe(id).is_some_and(|keyframe| Some(keyframe.submap) != except);
+        let candidates =
+            self.places.most_similar(&blank.features.descriptors, self.config.max_candidates, is_wanted);
         self.n_candidates = candidates.len();
-        candidates.iter().find_map(|candidate| {
-            let keyframe = map.keyframe(KeyframeId::new(candidate.image_id)?)?;
-            self.try_place(blank.clone(), keyframe, map)
-        })
+        candidates
+            .iter()
+            .find_map(|candidate| self.try_place(blank.clone(), map.keyframe(candidate.keyframe)?, map))
     }
 
     fn try_place(&mut self, mut frame: TrackedFrame, keyframe: &Keyframe, map: &Map) -> Option<TrackedFrame> {

@@ -4,6 +4,8 @@ mod baseline_length;
 mod direction_prior;
 mod line_reprojection;
 mod point_reprojection;
+mod relative_similarity;
+mod similarity_reprojection;
 mod structural_consistency;
 mod vanishing_reprojection;
 
@@ -11,5 +13,7 @@ pub use baseline_length::BaselineLengthFactor;
 pub use direction_prior::DirectionPriorFactor;
 pub use line_reprojection::LineReprojectionFactor;
 pub use point_reprojection::PointReprojectionFactor;
+pub use relative_similarity::RelativeSimilarityFactor;
+pub use similarity_reprojection::{PlacedSighting, SimilarityReprojectionFactor};
 pub use structural_consistency::StructuralConsistencyFactor;
 pub use vanishing_reprojection::VanishingReprojectionFactor;

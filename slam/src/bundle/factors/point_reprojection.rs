@@ -5,7 +5,7 @@ use geometry::{Pinhole, Pose, so3};
 use optim::{Factor, Linearized};
 
 /// Points nearer than this to the camera's plane are not projected, map units: the first map's median depth is 1.
-const MIN_DEPTH: f64 = 1e-4;
+pub(super) const MIN_DEPTH: f64 = 1e-4;
 
 /// Distance between a keypoint and the projection of its point, in standard deviations.
 ///

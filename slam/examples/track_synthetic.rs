@@ -1,0 +1,251 @@
+//! Runs the engine over a rendered sequence whose truth is known and prints how well it did.
+//!
+//! `cargo run --release -p slam --example track_synthetic -- PRESET SEED [--inline] [--frames N] [--no-loops] [--no-lines]
+//! [--no-primitives] [--verbose] [--out TRAJECTORY.txt]`
+//!
+//! Presets: room-rich, room-poor, corridor-straight, corridor-ring, four-rooms, atlanta, unstructured, look-alike.
+
+use geometry::nalgebra::{UnitQuaternion, Vector3};
+use geometry::{Pose, Similarity};
+use slam::map::{FrameRecord, SubmapId};
+use slam::{Clock, Frame, FrameReport, Map, MapEvent, Pipeline, ResumeState, SlamConfig, Threading};
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::fmt::Write as _;
+use std::sync::Arc;
+use std::time::Instant;
+use synthetic::{Preset, Sequence};
+use vision::GrayImage;
+
+struct WallClock(Instant);
+
+impl Clock for WallClock {
+    fn wall_ns(&self) -> u64 {
+        self.0.elapsed().as_nanos() as u64
+    }
+
+    fn thread_cpu_ns(&self) -> u64 {
+        // schedstat: time on the CPU, time waiting, time slices; nanoseconds.
+        let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
+        text.split_whitespace().next().and_then(|word| word.parse().ok()).unwrap_or(0)
+    }
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let flag = |name: &str| arguments.iter().any(|argument| argument == name);
+    let value = |name: &str| arguments.iter().position(|a| a == name).and_then(|at| arguments.get(at + 1));
+    let [preset, seed, ..] = arguments.as_slice() else {
+        return Err("usage: track_synthetic PRESET SEED".into());
+    };
+    let seed: u64 = seed.parse()?;
+    let sequence = Sequence::preset(preset.parse::<Preset>()?, seed);
+    let mut config = SlamConfig { seed, ..SlamConfig::default() };
+    config.threading = if flag("--inline") { Threading::Inline } else { Threading::Background };
+    config.features.loop_closing = !flag("--no-loops");
+    config.features.lines = !flag("--no-lines");
+    config.features.global_primitives = !flag("--no-primitives");
+    let clock = Arc::new(WallClock(Instant::now()));
+    let mut pipeline = Pipeline::resume(config, sequence.camera().clone(), clock, ResumeState::default())?;
+
+    let n_frames = value("--frames").map_or(Ok(sequence.len()), |n| n.parse())?.min(sequence.len());
+    let mut run = Run::default();
+    for index in 0..n_frames {
+        let rendered = sequence.frame(index);
+        let (width, height) = (rendered.image.width(), rendered.image.height());
+        let image = GrayImage::from_raw(width, height, rendered.image.into_pixels())
+            .map_err(|error| error.to_string())?;
+        let frame = Frame { sequence: index as u64, timestamp_ns: rendered.timestamp_ns, image };
+        let report = pipeline.process_frame(frame)?;
+        if flag("--verbose") {
+            println!(
+                "{index} {:?} submap {} keypoints {} points {} lines {} keyframe {} {}",
+                report.outcome.state(),
+                report.submap,
+                report.n_keypoints,
+                report.n_inlier_points,
+                report.n_inlier_lines,
+                report.is_keyframe,
+                report.outcome.reason(),
+            );
+        }
+        for event in &report.map_events {
+            println!("frame {index}: {event:?}");
+        }
+        run.note(&report);
+        run.store(pipeline.take_updates());
+    }
+    run.store(pipeline.finish());
+    let map = pipeline.map();
+    map.check()?;
+    let places = Places::of(&run.records, &map);
+    if let Some(out) = value("--out") {
+        std::fs::write(out, places.to_tum(&sequence))?;
+    }
+    run.print(&map);
+    places.print(&sequence, n_frames);
+    Ok(())
+}
+
+/// What came of the frames.
+#[derive(Default)]
+struct Run {
+    records: BTreeMap<u64, FrameRecord>,
+    states: BTreeMap<String, usize>,
+    n_relocalised: usize,
+    n_loops: usize,
+    n_merges: usize,
+    cpu_ms: Vec<f64>,
+    wall_ms: Vec<f64>,
+}
+
+impl Run {
+    fn note(&mut self, report: &FrameReport) {
+        *self.states.entry(format!("{:?}", report.outcome.state())).or_default() += 1;
+        self.n_relocalised += usize::from(report.relocalised);
+        for event in &report.map_events {
+            match event {
+                MapEvent::LoopClosed { .. } => self.n_loops += 1,
+                MapEvent::SubmapsMerged { .. } => self.n_merges += 1,
+            }
+        }
+        self.cpu_ms.push(report.cpu_ns as f64 * 1e-6);
+        self.wall_ms.push(report.wall_ns as f64 * 1e-6);
+    }
+
+    fn store(&mut self, updates: Vec<slam::MapUpdate>) {
+        for update in updates {
+            self.records.extend(update.frames.iter().map(|record| (record.sequence, *record)));
+        }
+    }
+
+    fn print(mut self, map: &Map) {
+        println!(
+            "frames {:?} relocalised {} loops {} merges {}",
+            self.states, self.n_relocalised, self.n_loops, self.n_merges
+        );
+        println!(
+            "map: key frames {} (made {}) points {} lines {} primitives {} submaps {:?}",
+            map.n_keyframes(),
+            map.last_ids().keyframe,
+            map.n_points(),
+            map.n_lines(),
+            map.n_primitives(),
+            map.submaps().iter().map(|submap| submap.0).collect::<Vec<_>>(),
+        );
+        println!(
+            "tracking thread: cpu ms {} wall ms {}",
+            summary(&mut self.cpu_ms),
+            summary(&mut self.wall_ms)
+        );
+    }
+}
+
+fn summary(values: &mut [f64]) -> String {
+    values.sort_by(f64::total_cmp);
+    let at = |share: f64| values.get((values.len() as f64 * share) as usize).copied().unwrap_or(0.0);
+    format!("median {:.2} p95 {:.2} max {:.2}", at(0.5), at(0.95), at(1.0 - 1e-9))
+}
+
+/// The cameras' places by frame number, per submap.
+struct Places(BTreeMap<SubmapId, BTreeMap<usize, Pose>>);
+
+impl Places {
+    fn of(records: &BTreeMap<u64, FrameRecord>, map: &Map) -> Self {
+        let mut places: BTreeMap<SubmapId, BTreeMap<usize, Pose>> = BTreeMap::new();
+        for record in records.values() {
+            let Some((submap, camera_from_world)) = record.pose.and_then(|pose| map.locate(&pose)) else {
+                continue;
+            };
+            places.entry(submap).or_default().insert(record.sequence as usize, camera_from_world.inverse());
+        }
+        Self(places)
+    }
+
+    fn print(&self, sequence: &Sequence, n_frames: usize) {
+        let n_posed: usize = self.0.values().map(BTreeMap::len).sum();
+        println!("coverage {:.4}", n_posed as f64 / n_frames as f64);
+        for (submap, places) in &self.0 {
+            match Score::of(places, sequence) {
+                Some(score) => println!(
+                    "submap {submap}: coverage {:.4} path {:.2} ate {:.4} = {:.3} % of the path, rotation rms {:.3} deg, \
+                     drift end to end {:.3} deg, scale first to last third {:.4}",
+                    places.len() as f64 / n_frames as f64,
+                    score.path,
+                    score.ate,
+                    100.0 * score.ate / score.path,
+                    score.rotation_rms_deg,
+                    score.rotation_drift_deg,
+                    score.scale_drift,
+                ),
+                None => println!("submap {submap}: {} frames, not enough to align", places.len()),
+            }
+        }
+    }
+
+    fn to_tum(&self, sequence: &Sequence) -> String {
+        let mut text = String::new();
+        for (index, pose) in self.0.values().flatten() {
+            let (t, q, ns) = (pose.translation, pose.rotation.coords, sequence.timestamp_ns(*index));
+            let _ = writeln!(
+                text,
+                "{}.{:09} {} {} {} {} {} {} {}",
+                ns / 1_000_000_000,
+                ns % 1_000_000_000,
+                t.x,
+                t.y,
+                t.z,
+                q.x,
+                q.y,
+                q.z,
+                q.w
+            );
+        }
+        text
+    }
+}
+
+/// How a trajectory compares with the truth after it was aligned by one similarity.
+struct Score {
+    /// Length of the true path, units of the world.
+    path: f64,
+    /// Root mean square distance, units of the world.
+    ate: f64,
+    rotation_rms_deg: f64,
+    /// Turn of the estimate against the truth from the first frame to the last.
+    rotation_drift_deg: f64,
+    /// Scale of the last third against that of the first.
+    scale_drift: f64,
+}
+
+impl Score {
+    fn of(places: &BTreeMap<usize, Pose>, sequence: &Sequence) -> Option<Self> {
+        let truth: Vec<Pose> =
+            places.keys().map(|index| sequence.camera_from_world(*index).inverse()).collect();
+        let positions = |poses: &[Pose]| poses.iter().map(|pose| pose.translation).collect::<Vec<_>>();
+        let estimate: Vec<Pose> = places.values().copied().collect();
+        let (seen, wanted) = (positions(&estimate), positions(&truth));
+        let aligned = Similarity::from_correspondences(&seen, &wanted, true)?;
+        let n = seen.len() as f64;
+        let squared: f64 =
+            seen.iter().zip(&wanted).map(|(e, t)| (aligned.transform(e) - t).norm_squared()).sum();
+        let turns: Vec<UnitQuaternion<f64>> = estimate
+            .iter()
+            .zip(&truth)
+            .map(|(e, t)| (aligned.rotation * e.rotation) * t.rotation.inverse())
+            .collect();
+        let third = seen.len() / 3;
+        let length =
+            |points: &[Vector3<f64>]| points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum::<f64>();
+        let scale = |range: std::ops::Range<usize>| length(&seen[range.clone()]) / length(&wanted[range]);
+        Some(Self {
+            path: length(&wanted),
+            ate: (squared / n).sqrt(),
+            rotation_rms_deg: (turns.iter().map(|turn| turn.angle().powi(2)).sum::<f64>() / n)
+                .sqrt()
+                .to_degrees(),
+            rotation_drift_deg: (turns.last()? * turns.first()?.inverse()).angle().to_degrees(),
+            scale_drift: scale(2 * third..seen.len()) / scale(0..third),
+        })
+    }
+}

@@ -1,0 +1,46 @@
+//! Places that look like a new key frame, though the map does not know yet that they are near.
+
+use crate::config::LoopConfig;
+use crate::map::{KeyframeId, Map};
+use crate::places::KeyframePlaces;
+use std::collections::BTreeSet;
+
+/// Learns the key frames' looks and finds those that are alike.
+#[derive(Debug, Default)]
+pub(super) struct Detector {
+    places: KeyframePlaces,
+}
+
+impl Detector {
+    /// Key frames that look like the given one but are not around it, most similar first.
+    pub fn candidates(&mut self, map: &Map, id: KeyframeId, config: &LoopConfig) -> Vec<KeyframeId> {
+        self.places.learn(map);
+        let Some(keyframe) = map.keyframe(id) else { return Vec::new() };
+        let around = surroundings(map, id);
+        let descriptors = &keyframe.features.descriptors;
+        // How alike two views of the same place are depends on the place: the key frames next to this one tell.
+        let is_neighbour = |other| other != id && around.contains(&other);
+        let familiar =
+            self.places.most_similar(descriptors, 1, is_neighbour).first().map_or(0.0, |place| place.score);
+        let is_elsewhere = |other| other != id && !around.contains(&other);
+        let likely = self.places.most_similar(descriptors, config.max_candidates, is_elsewhere);
+        likely
+            .into_iter()
+            .filter(|place| {
+                place.n_votes >= config.min_votes && place.score >= config.min_score_share * familiar
+            })
+            .map(|place| place.keyframe)
+            .collect()
+    }
+}
+
+/// A key frame, those that share points with it, and those that share points with these.
+pub(super) fn surroundings(map: &Map, id: KeyframeId) -> BTreeSet<KeyframeId> {
+    let neighbours = |id: &KeyframeId| {
+        map.keyframe(*id)
+            .into_iter()
+            .flat_map(|keyframe| keyframe.covisible().iter().map(|(other, _)| *other))
+    };
+    let near: BTreeSet<KeyframeId> = std::iter::once(id).chain(neighbours(&id)).collect();
+    near.iter().copied().chain(near.iter().flat_map(neighbours)).collect()
+}

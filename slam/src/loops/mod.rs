@@ -1,0 +1,164 @@
+//! Recognising places seen before: loops within a submap are closed, submaps that meet are merged. [ALGORITHMS 7.6]
+//!
+//! Each new key frame is compared with the map by its looks ([`detection`]). A place that looks alike must be confirmed by
+//! geometry: a similarity that carries the new key frame's surroundings onto the place ([`alignment`]), with which the key
+//! frame and its neighbours find the place's points ([`verification`]). Then the map is put right ([`correction`],
+//! [`essential_graph`]).
+
+mod alignment;
+mod correction;
+mod detection;
+mod essential_graph;
+#[cfg(test)]
+mod tests;
+mod verification;
+
+pub(crate) use correction::{Anchoring, apply_corrections};
+
+use crate::config::SlamConfig;
+use crate::map::{KeyframeId, Map, PointId, SubmapId};
+use crate::report::MapEvent;
+use detection::Detector;
+use geometry::Similarity;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeSet;
+
+/// Shift as a share of the scene's depth, turn in radians, and logarithm of the scale below which a correction is only
+/// a matter of joining landmarks: what bundle adjustment does to a map anyway.
+const NEGLIGIBLE: (f64, f64, f64) = (0.01, 0.005, 0.01);
+
+/// A place that a key frame was found to show.
+#[derive(Clone, Debug)]
+pub(crate) struct Recognition {
+    /// The new key frame.
+    pub current: KeyframeId,
+    /// The key frame of the place.
+    pub matched: KeyframeId,
+    /// Takes the world around the new key frame to where the place says it is.
+    pub place_from_current: Similarity,
+    /// What key frames at the place see.
+    pub place: Place,
+    /// Points of the place found in the new key frame.
+    pub n_matches: usize,
+}
+
+/// The surroundings of a recognised key frame.
+#[derive(Clone, Debug)]
+pub(crate) struct Place {
+    /// The recognised key frame and its neighbours, strongest ties first.
+    pub keyframes: Vec<KeyframeId>,
+    /// What they see, in the order of the ids.
+    pub points: Vec<PointId>,
+}
+
+/// What a correction did, and to which submap.
+pub(crate) struct Closed {
+    pub event: MapEvent,
+    pub submap: SubmapId,
+    /// Whether anything moved, so that bundle adjustment of the whole submap is worth its time.
+    pub moved: bool,
+}
+
+/// Recognises places and corrects the map.
+pub(crate) struct LoopCloser {
+    config: SlamConfig,
+    detector: Detector,
+    rng: ChaCha8Rng,
+}
+
+impl LoopCloser {
+    pub fn new(config: &SlamConfig) -> Self {
+        Self {
+            config: config.clone(),
+            detector: Detector::default(),
+            rng: ChaCha8Rng::seed_from_u64(config.seed),
+        }
+    }
+
+    /// Looks for the place a new key frame shows, and corrects the map if it is found.
+    pub fn close(&mut self, map: &mut Map, id: KeyframeId) -> Option<Closed> {
+        let recognition = self.recognise(map, id)?;
+        let current = map.keyframe(recognition.current)?.submap;
+        let matched = map.keyframe(recognition.matched)?.submap;
+        if current == matched {
+            Some(self.close_loop(map, &recognition, current))
+        } else {
+            Some(self.merge(map, &recognition, current, matched))
+        }
+    }
+
+    fn recognise(&mut self, map: &Map, id: KeyframeId) -> Option<Recognition> {
+        let candidates = self.detector.candidates(map, id, &self.config.loops);
+        candidates.into_iter().find_map(|matched| {
+            let place = Place::around(map, matched, id, self.config.loops.n_window_neighbours)?;
+            let aligned = alignment::align(map, id, &place, &self.config, &mut self.rng)?;
+            let n_matches = verification::verify(map, id, &place, &aligned, &self.config)?;
+            Some(Recognition { current: id, matched, place_from_current: aligned, place, n_matches })
+        })
+    }
+
+    fn close_loop(&self, map: &mut Map, recognition: &Recognition, submap: SubmapId) -> Closed {
+        let moved = !is_negligible(map, recognition);
+        if moved {
+            correction::close_loop(map, recognition, &self.config);
+        } else {
+            correction::join_landmarks(map, &recognition.place, recognition.current, &self.config);
+        }
+        let event = MapEvent::LoopClosed {
+            keyframe: recognition.current,
+            matched: recognition.matched,
+            n_matches: recognition.n_matches,
+            scale: recognition.place_from_current.scale,
+        };
+        Closed { event, submap, moved }
+    }
+
+    fn merge(
+        &self,
+        map: &mut Map,
+        recognition: &Recognition,
+        current: SubmapId,
+        matched: SubmapId,
+    ) -> Closed {
+        // The older submap's frame of reference survives.
+        let (gone, kept) = (current.max(matched), current.min(matched));
+        correction::merge(map, recognition, gone, kept, &self.config);
+        let event = MapEvent::SubmapsMerged {
+            keyframe: recognition.current,
+            matched: recognition.matched,
+            gone,
+            kept,
+            n_matches: recognition.n_matches,
+        };
+        Closed { event, submap: kept, moved: true }
+    }
+}
+
+impl Place {
+    fn around(map: &Map, matched: KeyframeId, current: KeyframeId, n_neighbours: usize) -> Option<Self> {
+        let centre = map.keyframe(matched)?;
+        let neighbours = centre.covisible().iter().take(n_neighbours).map(|(id, _)| *id);
+        let keyframes: Vec<KeyframeId> = std::iter::once(matched).chain(neighbours).collect();
+        let seen = keyframes
+            .iter()
+            .filter_map(|id| map.keyframe(*id))
+            .flat_map(|keyframe| keyframe.observed_points());
+        let points: BTreeSet<PointId> = seen
+            .map(|(_, id)| id)
+            .filter(|id| map.point(*id).is_some_and(|point| point.observation_in(current).is_none()))
+            .collect();
+        Some(Self { keyframes, points: points.into_iter().collect() })
+    }
+}
+
+fn is_negligible(map: &Map, recognition: &Recognition) -> bool {
+    let Some(current) = map.keyframe(recognition.current) else { return true };
+    let Some(depth) = crate::mapping::median_depth(map, current) else { return false };
+    let similarity = &recognition.place_from_current;
+    let centre = current.camera_from_world.centre();
+    let (max_shift, max_turn, max_log_scale) = NEGLIGIBLE;
+    (similarity.transform(&centre) - centre).norm() < max_shift * depth
+        && similarity.rotation.angle() < max_turn
+        && similarity.scale.ln().abs() < max_log_scale
+}

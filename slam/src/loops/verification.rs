@@ -1,0 +1,137 @@
+//! Whether a place that geometry fits is the place: what the neighbours see, where the world's directions point, and
+//! whether drift can explain the difference.
+
+use super::Place;
+use super::alignment::{MAX_SQUARED_ERROR, camera_from_place, find_place_points};
+use crate::config::{LoopConfig, SlamConfig};
+use crate::map::{Keyframe, KeyframeId, Map};
+use crate::mapping::median_depth;
+use geometry::nalgebra::Vector3;
+use geometry::{Direction, Similarity};
+
+/// Neighbours of the new key frame that are asked, most shared points first.
+const N_ASKED_NEIGHBOURS: usize = 6;
+/// Axes farther apart than this have nothing to do with one another, degrees: one side does not show the other's.
+const UNRELATED_DEG: f64 = 15.0;
+/// Shift that is always allowed, as a share of the scene's depth: the way since a place was seen may be short.
+const FREE_SHIFT: f64 = 0.2;
+
+/// How many points of the place the key frame finds, if everything speaks for the place.
+pub(super) fn verify(
+    map: &Map,
+    current: KeyframeId,
+    place: &Place,
+    place_from_current: &Similarity,
+    config: &SlamConfig,
+) -> Option<usize> {
+    let loops = &config.loops;
+    let keyframe = map.keyframe(current)?;
+    let matched = map.keyframe(*place.keyframes.first()?)?;
+    if keyframe.submap == matched.submap && !is_drift(map, keyframe, matched, place_from_current, loops) {
+        return None;
+    }
+    let count = |keyframe: &Keyframe| n_agreeing(map, keyframe, place, place_from_current, config);
+    let n_matches = count(keyframe);
+    if n_matches < loops.min_projected_matches {
+        return None;
+    }
+    let neighbours: Vec<&Keyframe> = keyframe
+        .covisible()
+        .iter()
+        .take(N_ASKED_NEIGHBOURS)
+        .filter_map(|(id, _)| map.keyframe(*id))
+        .collect();
+    let n_required = loops.n_confirmations.min(neighbours.len());
+    let confirming = neighbours.iter().filter(|neighbour| count(neighbour) >= loops.min_confirming_matches);
+    if confirming.take(n_required).count() < n_required {
+        return None;
+    }
+    directions_agree(map, keyframe, &neighbours, place, place_from_current, loops.max_direction_error_deg)
+        .then_some(n_matches)
+}
+
+/// Points of the place that the key frame finds where the similarity puts them.
+fn n_agreeing(
+    map: &Map,
+    keyframe: &Keyframe,
+    place: &Place,
+    place_from_current: &Similarity,
+    config: &SlamConfig,
+) -> usize {
+    let camera = camera_from_place(keyframe, place_from_current);
+    let radius_px = 0.5 * config.loops.search_radius_px;
+    let matches = find_place_points(map, keyframe, place, place_from_current, radius_px, config);
+    let agrees = |(feature_idx, id): (&usize, &crate::map::PointId)| {
+        let Some(point) = map.point(*id) else { return false };
+        let projected = keyframe.features.pinhole.project(&camera.transform(&point.position));
+        let error = (keyframe.features.undistorted[*feature_idx] - projected)
+            / keyframe.features.sigma_px(*feature_idx);
+        error.norm_squared() <= MAX_SQUARED_ERROR
+    };
+    matches.iter().filter(|found| agrees(*found)).count()
+}
+
+/// Whether drift since the place was seen can be as large as the correction. Two places that look alike differ by the
+/// whole way between them.
+fn is_drift(
+    map: &Map,
+    current: &Keyframe,
+    matched: &Keyframe,
+    place_from_current: &Similarity,
+    config: &LoopConfig,
+) -> bool {
+    let (first, last) = (current.id.min(matched.id), current.id.max(matched.id));
+    let centres: Vec<Vector3<f64>> = map
+        .keyframes_of(current.submap)
+        .filter(|keyframe| (first..=last).contains(&keyframe.id))
+        .map(|keyframe| keyframe.camera_from_world.centre())
+        .collect();
+    let way: f64 = centres.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    let centre = current.camera_from_world.centre();
+    let shift = (place_from_current.transform(&centre) - centre).norm();
+    let free = FREE_SHIFT * median_depth(map, current).unwrap_or(0.0);
+    shift <= config.max_drift_share * way + free
+        && place_from_current.rotation.angle() <= config.max_turn_deg.to_radians()
+        && place_from_current.scale.ln().abs() <= config.max_scale_change.ln()
+}
+
+/// Whether the directions of the world seen on both sides fall on one another. Nothing to compare is no objection.
+fn directions_agree(
+    map: &Map,
+    current: &Keyframe,
+    neighbours: &[&Keyframe],
+    place: &Place,
+    place_from_current: &Similarity,
+    max_error_deg: f64,
+) -> bool {
+    let here: Vec<Direction> = std::iter::once(current)
+        .chain(neighbours.iter().copied())
+        .flat_map(directions)
+        .map(|direction| direction.rotated(&place_from_current.rotation))
+        .collect();
+    let there: Vec<Direction> =
+        place.keyframes.iter().filter_map(|id| map.keyframe(*id)).flat_map(directions).collect();
+    if here.is_empty() || there.is_empty() {
+        return true;
+    }
+    let nearest_deg = |direction: &Direction| {
+        there.iter().map(|other| direction.angle(other).to_degrees()).fold(f64::INFINITY, f64::min)
+    };
+    let mut errors: Vec<f64> = here.iter().map(nearest_deg).filter(|error| *error < UNRELATED_DEG).collect();
+    if errors.is_empty() {
+        return false;
+    }
+    // The median: single vanishing points are noisy, or wrong.
+    let middle = errors.len() / 2;
+    *errors.select_nth_unstable_by(middle, f64::total_cmp).1 <= max_error_deg
+}
+
+/// The world directions of the vanishing points of a key frame that belong to a global primitive.
+fn directions(keyframe: &Keyframe) -> impl Iterator<Item = Direction> + '_ {
+    let world_from_camera = keyframe.camera_from_world.rotation.inverse();
+    keyframe
+        .vanishing
+        .iter()
+        .filter(|seen| seen.primitive.is_some())
+        .filter_map(move |seen| Direction::new(world_from_camera * seen.direction))
+}

@@ -1,0 +1,62 @@
+//! Where global bundle adjustment runs: at once, or on a thread of its own beside tracking and mapping.
+
+use crate::bundle::global::{GlobalResult, adjust};
+use crate::config::Threading;
+use crate::map::{Map, SubmapId};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+
+/// At most one global bundle adjustment at a time; a new one supersedes the one under way.
+pub(super) struct GlobalStage {
+    threading: Threading,
+    under_way: Option<UnderWay>,
+}
+
+struct UnderWay {
+    abort: Arc<AtomicBool>,
+    thread: JoinHandle<Option<GlobalResult>>,
+}
+
+impl GlobalStage {
+    pub fn new(threading: Threading) -> Self {
+        Self { threading, under_way: None }
+    }
+
+    /// Begins to adjust a submap. Returns the result if it is there at once.
+    pub fn start(&mut self, map: &Map, submap: SubmapId, max_iterations: usize) -> Option<GlobalResult> {
+        self.cancel();
+        let abort = Arc::new(AtomicBool::new(false));
+        if self.threading == Threading::Inline {
+            return adjust(map, submap, max_iterations, &abort);
+        }
+        let (snapshot, aborted) = (map.clone(), abort.clone());
+        let run = move || adjust(&snapshot, submap, max_iterations, &aborted);
+        // Without a thread the map stays as good as the essential graph has made it.
+        let spawned = std::thread::Builder::new().name("slam-global-ba".into()).spawn(run);
+        self.under_way = spawned.ok().map(|thread| UnderWay { abort, thread });
+        None
+    }
+
+    /// Gives up what is under way: the map it began with is no longer ours.
+    pub fn cancel(&mut self) {
+        if let Some(under_way) = self.under_way.take() {
+            under_way.abort.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// The result, once it is there; `wait` waits for it.
+    pub fn take(&mut self, wait: bool) -> Option<GlobalResult> {
+        if !self.under_way.as_ref().is_some_and(|under_way| wait || under_way.thread.is_finished()) {
+            return None;
+        }
+        // A panic there is a defect, and costs this correction only.
+        self.under_way.take()?.thread.join().ok().flatten()
+    }
+}
+
+impl Drop for GlobalStage {
+    fn drop(&mut self) {
+        self.cancel();
+    }
+}
