@@ -1,7 +1,9 @@
 //! Runs the engine over a rendered sequence whose truth is known and prints how well it did.
 //!
 //! `cargo run --release -p slam --example track_synthetic -- PRESET SEED [--inline] [--frames N] [--no-loops] [--no-lines]
-//! [--no-primitives] [--verbose] [--out TRAJECTORY.txt]`
+//! [--no-primitives] [--verbose] [--out TRAJECTORY.txt] [--images FOLDER]`
+//!
+//! Rendering takes longer than tracking: `--images` keeps the images of this preset and seed for the next run.
 //!
 //! Presets: room-rich, room-poor, corridor-straight, corridor-ring, four-rooms, atlanta, unstructured, look-alike.
 
@@ -12,6 +14,7 @@ use slam::{Clock, Frame, FrameReport, Map, MapEvent, Pipeline, ResumeState, Slam
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt::Write as _;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 use synthetic::{Preset, Sequence};
@@ -51,11 +54,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let n_frames = value("--frames").map_or(Ok(sequence.len()), |n| n.parse())?.min(sequence.len());
     let mut run = Run::default();
     for index in 0..n_frames {
-        let rendered = sequence.frame(index);
-        let (width, height) = (rendered.image.width(), rendered.image.height());
-        let image = GrayImage::from_raw(width, height, rendered.image.into_pixels())
-            .map_err(|error| error.to_string())?;
-        let frame = Frame { sequence: index as u64, timestamp_ns: rendered.timestamp_ns, image };
+        let image = image(&sequence, index, value("--images").map(Path::new))?;
+        let frame = Frame { sequence: index as u64, timestamp_ns: sequence.timestamp_ns(index), image };
         let report = pipeline.process_frame(frame)?;
         if flag("--verbose") {
             println!(
@@ -85,6 +85,21 @@ fn main() -> Result<(), Box<dyn Error>> {
     run.print(&map);
     places.print(&sequence, n_frames);
     Ok(())
+}
+
+/// Renders a frame, or takes it from a folder in which it was kept before.
+fn image(sequence: &Sequence, index: usize, folder: Option<&Path>) -> Result<GrayImage, Box<dyn Error>> {
+    let (width, height) = (sequence.camera().width(), sequence.camera().height());
+    let kept = folder.map(|folder| folder.join(format!("{index:05}.gray")));
+    if let Some(pixels) = kept.as_ref().and_then(|path| std::fs::read(path).ok()) {
+        return GrayImage::from_raw(width, height, pixels).map_err(|error| error.to_string().into());
+    }
+    let pixels = sequence.frame(index).image.into_pixels();
+    if let (Some(folder), Some(path)) = (folder, kept) {
+        std::fs::create_dir_all(folder)?;
+        std::fs::write(path, &pixels)?;
+    }
+    GrayImage::from_raw(width, height, pixels).map_err(|error| error.to_string().into())
 }
 
 /// What came of the frames.

@@ -3,7 +3,7 @@
 use super::*;
 use crate::features::{FrameFeatures, PyramidGeometry};
 use geometry::nalgebra::{Vector3, Vector6};
-use geometry::{Camera, CameraModel, CameraParameters};
+use geometry::{Camera, CameraModel, CameraParameters, Pose};
 use vision::{Descriptor, Keypoint};
 
 const N_KEYPOINTS: usize = 8;
