@@ -70,7 +70,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             );
         }
         for event in &report.map_events {
-            println!("frame {index}: {event:?}");
+            println!("frame {index}: {event:?}; {}", truth_of(event, &pipeline.map(), &sequence));
         }
         run.note(&report);
         run.store(pipeline.take_updates());
@@ -85,6 +85,16 @@ fn main() -> Result<(), Box<dyn Error>> {
     run.print(&map);
     places.print(&sequence, n_frames);
     Ok(())
+}
+
+/// How far apart the two views of a recognised place really are.
+fn truth_of(event: &MapEvent, map: &Map, sequence: &Sequence) -> String {
+    let (MapEvent::LoopClosed { keyframe, matched, .. } | MapEvent::SubmapsMerged { keyframe, matched, .. }) =
+        event;
+    let pose = |id| Some(sequence.camera_from_world(map.keyframe(id)?.sequence as usize));
+    let Some((a, b)) = pose(*keyframe).zip(pose(*matched)) else { return "culled since".to_owned() };
+    let angle_deg = a.rotation.angle_to(&b.rotation).to_degrees();
+    format!("truly {:.2} and {angle_deg:.1} deg apart", (a.centre() - b.centre()).norm())
 }
 
 /// Renders a frame, or takes it from a folder in which it was kept before.
