@@ -320,8 +320,8 @@ impl Default for MappingConfig {
 pub struct LineConfig {
     /// How segments are detected.
     pub detector: LineDetectorConfig,
-    /// Least standard deviation of a segment's ends across it, pixels. Default 1.0: edges are straight and cameras
-    /// calibrated to no better.
+    /// Least standard deviation of a segment's ends across it, pixels. Default 0.3: on POV office segments lie 0.07 pixels
+    /// from the true lines in the median and 0.3 in nine of ten cases.
     pub min_sigma_px: f64,
     /// Largest distance of a segment's ends from where a line is expected, pixels. Default 8.
     pub search_radius_px: f64,
@@ -367,7 +367,7 @@ impl Default for LineConfig {
     fn default() -> Self {
         Self {
             detector: LineDetectorConfig::default(),
-            min_sigma_px: 1.0,
+            min_sigma_px: 0.3,
             search_radius_px: 8.0,
             search_angle_deg: 8.0,
             min_search_overlap: 0.3,

@@ -78,7 +78,7 @@ pub(super) fn wants_keyframe(
         return true;
     }
     let displacement = last.displacement(frame);
-    if displacement > config.urgent_displacement && lines_are_needed(config, frame, inliers, last) {
+    if displacement > config.min_displacement && lines_are_needed(config, frame, inliers, last) {
         return true;
     }
     share < config.max_tracked_share && displacement > config.min_displacement
