@@ -320,7 +320,7 @@ impl Default for MappingConfig {
 pub struct LineConfig {
     /// How segments are detected.
     pub detector: LineDetectorConfig,
-    /// Least standard deviation of a segment's ends across it, pixels. Default 0.3: on POV office segments lie 0.07 pixels
+    /// Least standard deviation of a segment's ends across it, pixels. Default 0.4: on POV office segments lie 0.07 pixels
     /// from the true lines in the median and 0.3 in nine of ten cases.
     pub min_sigma_px: f64,
     /// Largest distance of a segment's ends from where a line is expected, pixels. Default 8.
@@ -367,7 +367,7 @@ impl Default for LineConfig {
     fn default() -> Self {
         Self {
             detector: LineDetectorConfig::default(),
-            min_sigma_px: 0.3,
+            min_sigma_px: 0.4,
             search_radius_px: 8.0,
             search_angle_deg: 8.0,
             min_search_overlap: 0.3,
@@ -421,7 +421,8 @@ pub struct PrimitiveConfig {
     pub max_line_angle_deg: f64,
     /// Standard deviation of the angle between a line and its primitive, degrees. Default 1: buildings are no truer.
     pub line_sigma_deg: f64,
-    /// Standard deviation of a segment's end, as far as its direction is concerned, in those of the segment. Default 1.
+    /// Standard deviation of a segment's end, as far as its direction is concerned, in those of the segment. Default 2:
+    /// edges that should be parallel are not quite.
     pub segment_sigma_factor: f64,
     /// Iterations of the second stage of local bundle adjustment. Default 4: it starts from the first one's result.
     pub stage_two_iterations: usize,
@@ -446,7 +447,7 @@ impl Default for PrimitiveConfig {
             retire_after_keyframes: 20,
             max_line_angle_deg: 3.0,
             line_sigma_deg: 1.0,
-            segment_sigma_factor: 1.0,
+            segment_sigma_factor: 2.0,
             stage_two_iterations: 4,
             max_turn_sigmas: 3.0,
         }
