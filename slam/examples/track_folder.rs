@@ -1,6 +1,6 @@
 //! Runs the engine alone over a recording and writes the trajectory, for work on the engine itself.
 //!
-//! `cargo run --release -p slam --example track_folder -- DATASET OUT.txt [--inline] [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--verbose]`
+//! `cargo run --release -p slam --example track_folder -- DATASET OUT.txt [--inline] [--start N] [--end N] [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--verbose]`
 //!
 //! The dataset is a folder with `rgb.txt` and `calib.json`. Everything else (other layouts, the service, evaluation)
 //! is the business of `monoslam`.
@@ -58,6 +58,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();
     let mut frames = read_frame_list(dataset)?;
     frames.truncate(value("--end").map_or(Ok(usize::MAX), |end| end.parse())?);
+    frames.drain(..value("--start").map_or(Ok(0), |start| start.parse())?.min(frames.len()));
     let start = Instant::now();
     for (sequence, (timestamp_ns, path)) in frames.iter().enumerate() {
         let bytes = std::fs::read(dataset.join(path))?;

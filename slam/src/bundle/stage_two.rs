@@ -23,6 +23,9 @@ pub(crate) enum StageTwo {
     Refused,
 }
 
+/// A segment's factor with its variables.
+type VanishingSighting = ((VariableId<Pose>, VariableId<Direction>), VanishingReprojectionFactor);
+
 /// A primitive as a variable of the problem.
 pub(super) struct PrimitiveVariable {
     pub id: PrimitiveId,
@@ -123,7 +126,7 @@ impl Adjustment {
         primitive: &GlobalPrimitive,
         variable: VariableId<Direction>,
         config: &PrimitiveConfig,
-        sightings: &mut Vec<((VariableId<Pose>, VariableId<Direction>), VanishingReprojectionFactor)>,
+        sightings: &mut Vec<VanishingSighting>,
     ) {
         for seen in &primitive.observations {
             let (Some(pose), Some(keyframe)) = (self.poses.get(&seen.keyframe), map.keyframe(seen.keyframe))

@@ -261,7 +261,7 @@ impl Map {
         });
     }
 
-    /// Recomputes which key frames share points with this one, on both sides.
+    /// Recomputes which key frames share points and lines with this one, on both sides.
     ///
     /// The strongest edge is kept even when it is below `min_shared`, so that no key frame is alone.
     pub(crate) fn refresh_covisibility(&mut self, id: KeyframeId, min_shared: u32) {
@@ -270,6 +270,12 @@ impl Map {
         for (_, point_id) in keyframe.observed_points() {
             let Some(point) = self.point(point_id) else { continue };
             for seen in point.observations.iter().filter(|seen| seen.keyframe != id) {
+                *shared.entry(seen.keyframe).or_default() += 1;
+            }
+        }
+        for (_, line_id) in keyframe.observed_lines() {
+            let Some(line) = self.line(line_id) else { continue };
+            for seen in line.observations.iter().filter(|seen| seen.keyframe != id) {
                 *shared.entry(seen.keyframe).or_default() += 1;
             }
         }

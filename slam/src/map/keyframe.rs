@@ -32,7 +32,7 @@ pub struct Keyframe {
     pub vanishing: Vec<VanishingObservation>,
     /// The key frame this one hangs on in the spanning tree; `None` for the first of a submap.
     pub parent: Option<KeyframeId>,
-    /// Key frames that share at least [`crate::MappingConfig::min_covisible_points`] points with this one,
+    /// Key frames that share at least [`crate::MappingConfig::min_covisible_points`] points and lines with this one,
     /// with how many, most first. Derived from the observations.
     pub(crate) covisible: Vec<(KeyframeId, u32)>,
 }
@@ -66,7 +66,7 @@ impl Keyframe {
         }
     }
 
-    /// Key frames that share points with this one and how many they share, most first.
+    /// Key frames that share points and lines with this one and how many they share, most first.
     pub fn covisible(&self) -> &[(KeyframeId, u32)] {
         &self.covisible
     }

@@ -51,12 +51,12 @@ pub(super) fn cull_keyframes(map: &mut Map, newest: KeyframeId, config: &SlamCon
     }
 }
 
-/// Share of a key frame's points that enough others see at the same or a finer level.
+/// Share of a key frame's points and lines that enough others see, points at the same or a finer level.
 fn redundancy(map: &Map, keyframe: &Keyframe) -> f64 {
-    let (mut n_points, mut n_redundant) = (0usize, 0usize);
+    let (mut n_landmarks, mut n_redundant) = (0usize, 0usize);
     for (feature_idx, id) in keyframe.observed_points() {
         let Some(point) = map.point(id) else { continue };
-        n_points += 1;
+        n_landmarks += 1;
         if point.observations.len() <= N_REDUNDANT_OBSERVERS {
             continue;
         }
@@ -68,7 +68,11 @@ fn redundancy(map: &Map, keyframe: &Keyframe) -> f64 {
         });
         n_redundant += usize::from(as_good.take(N_REDUNDANT_OBSERVERS).count() == N_REDUNDANT_OBSERVERS);
     }
-    n_redundant as f64 / n_points.max(1) as f64
+    for line in keyframe.observed_lines().filter_map(|(_, id)| map.line(id)) {
+        n_landmarks += 1;
+        n_redundant += usize::from(line.observations.len() > N_REDUNDANT_OBSERVERS);
+    }
+    n_redundant as f64 / n_landmarks.max(1) as f64
 }
 
 fn is_protected(map: &Map, id: KeyframeId, newest: KeyframeId) -> bool {

@@ -18,16 +18,21 @@ pub(super) struct LastKeyframe {
     timestamp_ns: i64,
     /// Where its landmarks were, undistorted pixels.
     pixels: BTreeMap<PointId, Vector2<f64>>,
+    /// Where the middles of its segments were, by track, undistorted pixels.
+    midpoints: BTreeMap<u64, Vector2<f64>>,
 }
 
 impl LastKeyframe {
     pub fn of(frame: &TrackedFrame) -> Self {
         let seen = frame.points.iter().enumerate();
         let pixels = seen.filter_map(|(idx, id)| Some(((*id)?, frame.features.undistorted[idx]))).collect();
-        Self { timestamp_ns: frame.timestamp_ns, pixels }
+        let segments = frame.features.lines.iter();
+        let midpoints = segments.map(|segment| (segment.track, segment.midpoint())).collect();
+        Self { timestamp_ns: frame.timestamp_ns, pixels, midpoints }
     }
 
-    /// Median distance that common landmarks moved in the image, as a share of its width; infinite with few in common.
+    /// Median distance that common points and segments moved in the image, as a share of its width; infinite with few in
+    /// common.
     fn displacement(&self, frame: &TrackedFrame) -> f64 {
         let mut moved: Vec<f64> = frame
             .points
@@ -37,6 +42,12 @@ impl LastKeyframe {
                 Some((self.pixels.get(id.as_ref()?)? - frame.features.undistorted[idx]).norm())
             })
             .collect();
+        let segments = frame.features.lines.iter();
+        moved.extend(
+            segments.filter_map(|segment| {
+                Some((self.midpoints.get(&segment.track)? - segment.midpoint()).norm())
+            }),
+        );
         if moved.len() < MIN_COMMON_POINTS {
             return f64::INFINITY;
         }
@@ -67,8 +78,29 @@ pub(super) fn wants_keyframe(
         return true;
     }
     let displacement = last.displacement(frame);
+    if displacement > config.min_displacement && lines_are_needed(config, frame, inliers, last) {
+        return true;
+    }
     share < config.max_tracked_share && displacement > config.min_displacement
         || share < config.urgent_tracked_share && displacement > config.urgent_displacement
+}
+
+/// Whether points are few and lines could take over: enough segments have been followed since the last key frame that no
+/// line of the map explains, or many more segments are followed than then. [paper, "Keyframe Insertion"]
+fn lines_are_needed(
+    config: &KeyframeConfig,
+    frame: &TrackedFrame,
+    inliers: Inliers,
+    last: &LastKeyframe,
+) -> bool {
+    if inliers.n_points >= config.plentiful_points {
+        return false;
+    }
+    let segments = frame.features.lines.iter().zip(&frame.lines);
+    let followed = segments.filter(|(segment, _)| last.midpoints.contains_key(&segment.track));
+    let n_unexplained = followed.filter(|(_, line)| line.is_none()).count();
+    let n_risen = config.risen_segments_share * last.midpoints.len() as f64;
+    n_unexplained >= config.min_followed_segments || frame.features.lines.len() as f64 > n_risen
 }
 
 /// Inliers as a share of the established points that the reference key frame sees.

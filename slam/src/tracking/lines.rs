@@ -23,8 +23,7 @@ const PIXELS_PER_BIT: f64 = 0.2;
 /// Where a line should appear in a view.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PredictedSegment {
-    pub start: Vector2<f64>,
-    pub end: Vector2<f64>,
+    start: Vector2<f64>,
     direction: Vector2<f64>,
     length: f64,
 }
@@ -41,12 +40,7 @@ impl PredictedSegment {
         let (start, end) =
             clip_to_image(features.pinhole.project(&a), features.pinhole.project(&b), features)?;
         let length = (end - start).norm();
-        (length >= MIN_PROJECTED_LENGTH_PX).then(|| Self {
-            start,
-            end,
-            direction: (end - start) / length,
-            length,
-        })
+        (length >= MIN_PROJECTED_LENGTH_PX).then(|| Self { start, direction: (end - start) / length, length })
     }
 
     /// Distance of a pixel from the infinite line.

@@ -9,8 +9,9 @@ const RADIUS: i32 = 4;
 const SIDE: usize = 2 * RADIUS as usize + 1;
 /// A corner that would move farther than this is not one: it stays where it was detected, pixels.
 const MAX_SHIFT: f32 = 1.5;
-/// Ratio of the structure tensor's eigenvalues below which the place along an edge is not determined.
-const MIN_EIGENVALUE_RATIO: f32 = 0.05;
+/// Ratio of the structure tensor's eigenvalues below which the place along an edge is not determined. At 0.05 blurred
+/// corners of real images go too: the trajectory error on EuRoC part b doubles.
+const MIN_EIGENVALUE_RATIO: f32 = 0.02;
 
 /// Finds corners to a fraction of a pixel.
 #[derive(Clone, Debug)]
@@ -28,11 +29,12 @@ impl Refiner {
         Self { weights: std::array::from_fn(weight) }
     }
 
-    /// The shift of the corner at a pixel at least `RADIUS + 1` from the border, pixels; zero where it is not determined.
+    /// The shift of the corner at a pixel at least `RADIUS + 1` from the border, pixels; `None` where there is no corner:
+    /// its place along an edge is not determined, or it would be somewhere else.
     ///
     /// Every gradient `g` at offset `o` says that the corner lies on the edge through `o`: `g·(shift − o) = 0`. The
     /// weighted least squares solution is `(Σ w g gᵀ)⁻¹ Σ w g gᵀ o`.
-    pub fn shift(&self, image: &GrayImage, x: u32, y: u32) -> (f32, f32) {
+    pub fn shift(&self, image: &GrayImage, x: u32, y: u32) -> Option<(f32, f32)> {
         let (width, pixels) = (image.width() as usize, image.as_raw());
         let top_left = (y as usize - RADIUS as usize) * width + x as usize - RADIUS as usize;
         let (mut xx, mut xy, mut yy, mut bx, mut by) = (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
@@ -59,10 +61,10 @@ impl Refiner {
         // For eigenvalues a >= b: determinant / trace² = (b/a) / (1 + b/a)².
         let ratio = MIN_EIGENVALUE_RATIO / ((1.0 + MIN_EIGENVALUE_RATIO) * (1.0 + MIN_EIGENVALUE_RATIO));
         if determinant <= ratio * trace * trace {
-            return (0.0, 0.0);
+            return None;
         }
         let (dx, dy) = ((yy * bx - xy * by) / determinant, (xx * by - xy * bx) / determinant);
-        if dx.abs().max(dy.abs()) <= MAX_SHIFT { (dx, dy) } else { (0.0, 0.0) }
+        (dx.abs().max(dy.abs()) <= MAX_SHIFT).then_some((dx, dy))
     }
 }
 
@@ -81,7 +83,7 @@ mod tests {
     #[test]
     fn corners_between_pixels_are_found() {
         for (x, y) in [(16.0, 16.0), (16.3, 15.8), (15.6, 16.45), (16.5, 16.5)] {
-            let (dx, dy) = Refiner::new().shift(&quadrant(x, y), 16, 16);
+            let (dx, dy) = Refiner::new().shift(&quadrant(x, y), 16, 16).unwrap();
             let (error_x, error_y) = (16.0 + dx - x, 16.0 + dy - y);
             assert!(
                 error_x.abs() < 0.15 && error_y.abs() < 0.15,
@@ -92,7 +94,7 @@ mod tests {
 
     #[test]
     fn shifts_follow_the_corner() {
-        let shift = |x: f32| Refiner::new().shift(&quadrant(x, 16.0), 16, 16).0;
+        let shift = |x: f32| Refiner::new().shift(&quadrant(x, 16.0), 16, 16).unwrap().0;
         for step in 1..8 {
             let moved = shift(15.6 + 0.1 * step as f32) - shift(15.6);
             assert!((moved - 0.1 * step as f32).abs() < 0.05, "step {step}: moved by {moved}");
@@ -100,9 +102,9 @@ mod tests {
     }
 
     #[test]
-    fn edges_and_plain_images_stay_where_they_are() {
+    fn edges_and_plain_images_have_no_corner() {
         let edge = GrayImage::from_fn(32, 32, |x, _| if x < 16 { 30 } else { 200 });
-        assert_eq!(Refiner::new().shift(&edge, 16, 16), (0.0, 0.0));
-        assert_eq!(Refiner::new().shift(&GrayImage::new(32, 32), 16, 16), (0.0, 0.0));
+        assert_eq!(Refiner::new().shift(&edge, 16, 16), None);
+        assert_eq!(Refiner::new().shift(&GrayImage::new(32, 32), 16, 16), None);
     }
 }

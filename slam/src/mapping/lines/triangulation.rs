@@ -11,8 +11,6 @@ use geometry::nalgebra::{Matrix4, Vector2, Vector3, Vector4};
 use geometry::{Line3, OrthonormalLine, Pinhole, Pose, line};
 use optim::{Factor, Kernel, Linearized, SingleOptions, UnaryGroup, chi2_95, optimize_single};
 
-/// Planes closer to one another than this, as a sine, are not even worth a try.
-const MIN_PLANE_SINE: f64 = 1e-3;
 /// Step of the difference quotients that lead from a line's parameters to depths, radians.
 const DIFFERENCE_STEP: f64 = 1e-6;
 
@@ -88,7 +86,7 @@ pub(super) fn triangulate(
     if views.len() < config.min_views {
         return None;
     }
-    let (first, second) = best_pair(views)?;
+    let (first, second) = best_pair(views, config.min_plane_angle_deg)?;
     let line = line::triangulate(
         &first.camera_from_world,
         &first.plane_normal()?,
@@ -115,13 +113,13 @@ pub(super) fn triangulate(
     (agreeing.len() >= config.min_views).then_some((place, agreeing))
 }
 
-/// The two views whose planes cross at the largest angle; `None` if that is next to nothing.
-fn best_pair(views: &[TrackView]) -> Option<(&TrackView, &TrackView)> {
+/// The two views whose planes cross at the largest angle; `None` if that is below the least.
+fn best_pair(views: &[TrackView], min_angle_deg: f64) -> Option<(&TrackView, &TrackView)> {
     let normal = |view: &TrackView| {
         view.plane_normal().map(|normal| view.camera_from_world.rotation.inverse() * normal)
     };
     let normals: Vec<Vector3<f64>> = views.iter().map(|view| normal(view).unwrap_or_default()).collect();
-    let mut best = (MIN_PLANE_SINE, None);
+    let mut best = (min_angle_deg.to_radians().sin(), None);
     for (i, first) in normals.iter().enumerate() {
         for (j, second) in normals.iter().enumerate().skip(i + 1) {
             let sine = first.cross(second).norm();
