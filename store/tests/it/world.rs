@@ -240,7 +240,7 @@ pub fn line(numbers: &mut Numbers, keyframes: &mut [Keyframe], id: LineId) -> Li
         observations,
         n_visible: 6 + (numbers.bits() % 9) as u32,
         n_found: 2 + (numbers.bits() % 3) as u32,
-        primitive: (id.get() % 3 > 0).then(|| pr(id.get() % 3)),
+        primitive: PrimitiveId::new(id.get() % 3),
     }
 }
 
