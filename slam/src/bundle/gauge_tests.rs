@@ -21,7 +21,7 @@ fn poses() -> Vec<Pose> {
 
 fn points() -> Vec<Vector3<f64>> {
     (0..12)
-        .map(|i| f64::from(i))
+        .map(f64::from)
         .map(|s| Vector3::new((1.3 * s).sin(), (0.7 * s).cos(), 3.5 + (2.1 * s).sin()))
         .collect()
 }
