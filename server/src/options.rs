@@ -20,7 +20,6 @@ pub fn engine_config(options: &SessionOptions) -> Result<SlamConfig, ApiError> {
         lines,
         // Without lines there are none, unless they are asked for, which is refused above.
         global_primitives: lines && options.global_primitives.unwrap_or(config.features.global_primitives),
-        loop_closing: options.loop_closing.unwrap_or(config.features.loop_closing),
     };
     if options.deterministic == Some(true) {
         config.threading = Threading::Inline;
@@ -59,6 +58,11 @@ fn contradictions(options: &SessionOptions) -> Vec<FieldViolation> {
             options.global_primitives == Some(true) && options.lines == Some(false),
             "global primitives are directions of lines and need them: leave out lines = false, or set this to false too",
         ),
+        (
+            "options.loop_closing",
+            options.loop_closing == Some(true),
+            "loop closing is not there yet: leave it out, or set it to false",
+        ),
     ];
     let wrong = asked.into_iter().filter(|(_, is_wrong, _)| *is_wrong);
     wrong
@@ -83,13 +87,15 @@ mod tests {
         assert_eq!(switches(Some(false), Some(false)).unwrap(), (false, false));
         assert_eq!(switches(Some(false), None).unwrap(), (false, false), "no lines, no primitives");
         let open = SessionOptions { loop_closing: Some(false), ..SessionOptions::default() };
-        assert!(!engine_config(&open).unwrap().features.loop_closing);
+        assert!(engine_config(&open).is_ok());
     }
 
     #[test]
     fn what_cannot_be_met_is_refused_by_name() {
         let error = switches(Some(false), Some(true)).unwrap_err();
         assert_eq!(error.violations[0].field, "options.global_primitives");
+        let asked = SessionOptions { loop_closing: Some(true), ..SessionOptions::default() };
+        assert_eq!(engine_config(&asked).unwrap_err().violations[0].field, "options.loop_closing");
         let asked = SessionOptions { points: Some(false), ..SessionOptions::default() };
         assert_eq!(engine_config(&asked).unwrap_err().violations[0].field, "options.points");
     }

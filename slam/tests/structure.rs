@@ -135,12 +135,12 @@ fn a_restored_session_goes_on_with_its_lines_and_primitives() {
 #[test]
 fn switched_off_features_leave_no_trace() {
     let sequence = Sequence::preset(Preset::RoomPoor, 1);
-    let switches = FeatureSwitches { lines: false, global_primitives: false, loop_closing: false };
+    let switches = FeatureSwitches { lines: false, global_primitives: false };
     let mut points_only = pipeline(&sequence, switches, ResumeState::default());
     let reports = run(&mut points_only, &sequence, 0..60);
     assert_eq!((points_only.map().n_lines(), points_only.map().n_primitives()), (0, 0));
     assert!(reports.iter().all(|report| report.n_segments == 0));
-    let switches = FeatureSwitches { lines: true, ..switches };
+    let switches = FeatureSwitches { lines: true, global_primitives: false };
     let mut with_lines = pipeline(&sequence, switches, ResumeState::default());
     run(&mut with_lines, &sequence, 0..60);
     assert!(with_lines.map().n_lines() > 0);
