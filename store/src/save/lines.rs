@@ -1,9 +1,10 @@
 //! Lines of an update, and their cells in the R*Tree.
 
+use super::cells::LandmarkTables;
 use super::rows::{MultiRow, id_list};
 use crate::StoreError;
 use crate::lines::{LineRow, N_LINE_COLUMNS};
-use crate::points::cell::{Cell, cell_key};
+use crate::points::cell::Cell;
 use nalgebra::Vector3;
 use slam::map::{LineLandmark, MapUpdate};
 use sqlx::{Row, SqliteConnection};
@@ -24,11 +25,15 @@ const LINE_ROWS: MultiRow = MultiRow {
                observations = excluded.observations",
 };
 
-const CELL_ROWS: MultiRow = MultiRow {
-    insert: "INSERT OR REPLACE INTO line_cells (key, session_min, session_max, x_min, x_max, y_min, y_max, \
-             z_min, z_max) VALUES ",
-    n_columns: 9,
-    conflict: "",
+const TABLES: LandmarkTables = LandmarkTables {
+    delete_rows: "DELETE FROM lines WHERE session = ? AND id IN (SELECT value FROM json_each(?))",
+    delete_cells: "DELETE FROM line_cells WHERE key IN (SELECT value FROM json_each(?))",
+    cells: MultiRow {
+        insert: "INSERT OR REPLACE INTO line_cells (key, session_min, session_max, x_min, x_max, y_min, y_max, \
+                 z_min, z_max) VALUES ",
+        n_columns: 9,
+        conflict: "",
+    },
 };
 
 /// Deletes removed lines, and changed ones that are not in the map any more.
@@ -44,19 +49,7 @@ pub(super) async fn delete_lines(
         .filter(|id| update.map.line(**id).is_none())
         .map(|id| id.get())
         .collect();
-    if gone.is_empty() {
-        return Ok(());
-    }
-    sqlx::query("DELETE FROM lines WHERE session = ? AND id IN (SELECT value FROM json_each(?))")
-        .bind(session)
-        .bind(id_list(gone.iter().copied()))
-        .execute(&mut *connection)
-        .await?;
-    sqlx::query("DELETE FROM line_cells WHERE key IN (SELECT value FROM json_each(?))")
-        .bind(id_list(gone.iter().map(|id| cell_key(session, *id as i64) as u64)))
-        .execute(connection)
-        .await?;
-    Ok(())
+    TABLES.delete(connection, session, &gone).await
 }
 
 /// Writes changed lines' rows, and the cells of those that are new or left their cells.
@@ -92,17 +85,7 @@ pub(super) async fn write_lines(
             columns.add(row.observations)
         })
         .await?;
-    CELL_ROWS
-        .write(connection, &moved, |columns, (line, cell)| {
-            columns.add(cell_key(session, *line))?;
-            columns.add(session)?;
-            columns.add(session)?;
-            (0..3).try_for_each(|axis| {
-                columns.add(cell.low[axis])?;
-                columns.add(cell.high[axis])
-            })
-        })
-        .await
+    TABLES.write_cells(connection, session, &moved).await
 }
 
 /// The cells of those of the lines that are stored already; they follow from the row.

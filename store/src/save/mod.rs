@@ -1,5 +1,6 @@
 //! Writing a map update: one transaction, and in it only the rows that changed.
 
+mod cells;
 mod keyframes;
 mod lines;
 mod points;
