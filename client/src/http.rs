@@ -115,16 +115,6 @@ impl HttpClient {
         Ok(out.flush()?)
     }
 
-    /// Sequence number and time, in nanoseconds, of the session's last frame with a pose.
-    ///
-    /// # Errors
-    /// If the server cannot be asked or refuses.
-    pub async fn last_pose(&self, session_id: &str) -> Result<Option<(u64, i64)>, ClientError> {
-        let mut csv = Vec::new();
-        self.write_trajectory(session_id, TrajectoryFormat::Csv, TrajectoryKind::Frames, &mut csv).await?;
-        last_row(&String::from_utf8_lossy(&csv))
-    }
-
     /// The session's trajectory, `world_from_camera` of all frames that have a pose.
     ///
     /// # Errors
@@ -137,18 +127,6 @@ impl HttpClient {
 
     fn unreachable(&self, error: reqwest::Error) -> ClientError {
         ClientError::Unreachable { server: self.address.clone(), reason: causes(&error.without_url()) }
-    }
-}
-
-/// The first two columns of the last row of a trajectory, `sequence,timestamp_ns`.
-fn last_row(csv: &str) -> Result<Option<(u64, i64)>, ClientError> {
-    let Some(row) = csv.lines().skip(1).last() else { return Ok(None) };
-    let mut cells = row.split(',');
-    let sequence = cells.next().and_then(|cell| cell.parse().ok());
-    let timestamp_ns = cells.next().and_then(|cell| cell.parse().ok());
-    match sequence.zip(timestamp_ns) {
-        Some(frame) => Ok(Some(frame)),
-        None => Err(ClientError::protocol(format!("`{row}` is not a row of a trajectory"))),
     }
 }
 
@@ -171,16 +149,6 @@ async fn refusal(response: reqwest::Response) -> ClientError {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_last_row_of_a_trajectory_is_read() {
-        assert_eq!(last_row("sequence,timestamp_ns,state\n").unwrap(), None);
-        assert_eq!(
-            last_row("sequence,timestamp_ns,state\n3,40,lost\n7,-5,tracked\n").unwrap(),
-            Some((7, -5))
-        );
-        assert!(last_row("sequence,timestamp_ns\nx,1\n").is_err());
-    }
 
     #[test]
     fn names_come_back() {

@@ -25,7 +25,7 @@ pub struct Placement {
 pub struct SessionEnd {
     /// The sequence number the server expects next.
     pub next_sequence: u64,
-    /// A frame of the session, as late as known: its sequence number and time in nanoseconds.
+    /// The last frame of the session: its sequence number and time in nanoseconds.
     pub last_frame: Option<(u64, i64)>,
 }
 

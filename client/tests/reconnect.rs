@@ -144,6 +144,40 @@ impl SlamService for Server {
         Err(Status::unimplemented("not here"))
     }
 
+    async fn update_session(
+        &self,
+        _: Request<v1::UpdateSessionRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    async fn set_scale(&self, _: Request<v1::SetScaleRequest>) -> Result<Response<v1::Session>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    async fn localize(
+        &self,
+        _: Request<v1::LocalizeRequest>,
+    ) -> Result<Response<v1::LocalizeResponse>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    async fn optimize_map(
+        &self,
+        _: Request<v1::OptimizeMapRequest>,
+    ) -> Result<Response<v1::OptimizeMapResponse>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    type WatchMapStream = ReceiverStream<Result<v1::SessionEvent, Status>>;
+
+    async fn watch_map(
+        &self,
+        _: Request<v1::WatchMapRequest>,
+    ) -> Result<Response<Self::WatchMapStream>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
     async fn stream_frames(
         &self,
         request: Request<Streaming<v1::StreamFramesRequest>>,

@@ -2,6 +2,9 @@
 
 use nalgebra::{Matrix3x2, UnitQuaternion, Vector2, Vector3};
 
+/// How far a stored unit vector may be from unit length: rounding makes far less.
+const MAX_STORED_ERROR: f64 = 1e-9;
+
 /// A unit vector that equals its negative, such as the common direction of parallel lines.
 ///
 /// The sign is fixed on construction, so equal directions have equal coordinates. Tangent vectors are two
@@ -20,6 +23,14 @@ impl Direction {
             return None;
         }
         Some(Self::from_nonzero(vector / largest))
+    }
+
+    /// A direction that was one before, taken over bit for bit: for what was stored. `None` if the vector is not of unit
+    /// length or its sign is not the one the constructor gives.
+    pub fn from_stored(vector: Vector3<f64>) -> Option<Self> {
+        let direction = Self::new(vector)?;
+        let is_same = (direction.vector - vector).amax() <= MAX_STORED_ERROR;
+        is_same.then_some(Self { vector })
     }
 
     /// Normalises and fixes the sign: the last component that is not zero is positive.

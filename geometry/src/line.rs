@@ -11,6 +11,10 @@ use crate::{Direction, Pinhole, Pose, Similarity, so3};
 /// Planes whose normals are closer to parallel than this, in radians, do not define a line.
 const MIN_PLANE_ANGLE_RAD: f64 = 1e-9;
 
+/// How far, relative to its size, a stored line may be off unit length and orthogonality: many transformations may have
+/// passed over it since it was normalised, each adding some rounding.
+const MAX_STORED_ERROR: f64 = 1e-6;
+
 /// An infinite line: a unit direction `v` and a moment `n = X × v`, the same for every point `X` on it.
 ///
 /// `(n, v)` and `(-n, -v)` are the same line. The moment is orthogonal to the direction and as long as the
@@ -43,6 +47,15 @@ impl Line3 {
         let moment = moment / length;
         let line = Self { moment: moment - direction * direction.dot(&moment), direction };
         line.is_finite().then_some(line)
+    }
+
+    /// A line that was one before, taken over bit for bit: for what was stored. `None` if the direction is not of unit
+    /// length, the moment not orthogonal to it, or anything not finite.
+    pub fn from_stored(moment: Vector3<f64>, direction: Vector3<f64>) -> Option<Self> {
+        let is_unit = (direction.norm() - 1.0).abs() <= MAX_STORED_ERROR;
+        let is_orthogonal = direction.dot(&moment).abs() <= MAX_STORED_ERROR * moment.norm().max(1.0);
+        (is_unit && is_orthogonal && moment.iter().all(|x| x.is_finite()))
+            .then_some(Self { moment, direction })
     }
 
     /// The line in which two planes `a·X + a₄ = 0` meet. `None` if they are parallel.

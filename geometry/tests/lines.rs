@@ -162,3 +162,25 @@ fn orthonormal_jacobian_matches_central_differences() {
         assert!((unit_vector(&mut rng).norm() - 1.0).abs() < 1e-15);
     }
 }
+
+#[test]
+fn stored_lines_and_directions_come_back_bit_for_bit_and_others_are_refused() {
+    for (seed, mut rng) in generators("stored", 100) {
+        let line = random_line(&mut rng);
+        assert_eq!(Line3::from_stored(*line.moment(), *line.direction()), Some(line), "seed {seed}");
+        let direction = Direction::new(*line.direction()).unwrap();
+        assert_eq!(Direction::from_stored(*direction.as_vector()), Some(direction), "seed {seed}");
+        assert_eq!(Direction::from_stored(-direction.as_vector()), None, "seed {seed}: the other sign");
+        assert_eq!(Direction::from_stored(direction.as_vector() * 1.001), None, "seed {seed}");
+        assert_eq!(Line3::from_stored(*line.moment(), line.direction() * 1.001), None, "seed {seed}");
+        let along = line.moment() + line.direction();
+        assert_eq!(
+            Line3::from_stored(along, *line.direction()),
+            None,
+            "seed {seed}: a moment along the line"
+        );
+    }
+    let infinite = Vector3::new(0.0, 0.0, f64::INFINITY);
+    assert_eq!(Line3::from_stored(infinite, Vector3::x()), None);
+    assert_eq!(Direction::from_stored(infinite), None);
+}

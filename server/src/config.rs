@@ -72,6 +72,9 @@ pub struct SessionConfig {
     pub keep_keyframe_images: bool,
     /// Seconds between attempts to save after one failed, as when the disk is full. Default 1.
     pub save_retry_s: f64,
+    /// Single images located at the same time; further ones wait their turn. Default 1: each takes a core and as much
+    /// memory as its map.
+    pub n_localisations: usize,
 }
 
 impl Default for SessionConfig {
@@ -82,6 +85,7 @@ impl Default for SessionConfig {
             realtime_queue_frames: 2,
             keep_keyframe_images: true,
             save_retry_s: 1.0,
+            n_localisations: 1,
         }
     }
 }
@@ -194,6 +198,7 @@ impl Config {
         let counts = [
             ("sessions.lossless_queue_frames", self.sessions.lossless_queue_frames),
             ("sessions.realtime_queue_frames", self.sessions.realtime_queue_frames),
+            ("sessions.n_localisations", self.sessions.n_localisations),
             ("limits.max_loaded_sessions", self.limits.max_loaded_sessions),
         ];
         for (field, count) in counts {

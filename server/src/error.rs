@@ -12,6 +12,8 @@ pub enum ErrorCode {
     SessionNotFound,
     /// The session has no key frame with this id.
     KeyframeNotFound,
+    /// The session has no global primitive with this id.
+    PrimitiveNotFound,
     /// The key frame's image was not kept.
     ImageNotFound,
     /// There is no such path.
@@ -28,6 +30,10 @@ pub enum ErrorCode {
     TooManySessions,
     /// As many sessions are in memory as the server takes.
     TooManyLoadedSessions,
+    /// This version does not have it.
+    NotAvailable,
+    /// As many such requests are under way as the server takes.
+    TooBusy,
     /// A message is larger than the server takes.
     MessageTooLarge,
     /// The database cannot grow.
@@ -51,7 +57,10 @@ impl ErrorCode {
             Self::InvalidArgument => "INVALID_ARGUMENT",
             Self::SessionNotFound => "SESSION_NOT_FOUND",
             Self::KeyframeNotFound => "KEYFRAME_NOT_FOUND",
+            Self::PrimitiveNotFound => "PRIMITIVE_NOT_FOUND",
             Self::ImageNotFound => "IMAGE_NOT_FOUND",
+            Self::NotAvailable => "NOT_AVAILABLE",
+            Self::TooBusy => "TOO_BUSY",
             Self::NotFound => "NOT_FOUND",
             Self::MethodNotAllowed => "METHOD_NOT_ALLOWED",
             Self::SessionExists => "SESSION_EXISTS",
@@ -75,7 +84,10 @@ impl ErrorCode {
             Self::InvalidArgument => "The request cannot be used",
             Self::SessionNotFound => "No such session",
             Self::KeyframeNotFound => "No such key frame",
+            Self::PrimitiveNotFound => "No such global primitive",
             Self::ImageNotFound => "The key frame's image was not kept",
+            Self::NotAvailable => "Not available in this version",
+            Self::TooBusy => "Too much is asked at once",
             Self::NotFound => "No such path",
             Self::MethodNotAllowed => "The path does not take this method",
             Self::SessionExists => "The session exists already",
@@ -97,15 +109,18 @@ impl ErrorCode {
     pub fn grpc(self) -> Code {
         match self {
             Self::InvalidArgument => Code::InvalidArgument,
-            Self::SessionNotFound | Self::KeyframeNotFound | Self::ImageNotFound | Self::NotFound => {
-                Code::NotFound
-            }
-            Self::MethodNotAllowed => Code::Unimplemented,
+            Self::SessionNotFound
+            | Self::KeyframeNotFound
+            | Self::PrimitiveNotFound
+            | Self::ImageNotFound
+            | Self::NotFound => Code::NotFound,
+            Self::MethodNotAllowed | Self::NotAvailable => Code::Unimplemented,
             Self::SessionExists => Code::AlreadyExists,
             Self::WriterConnected => Code::FailedPrecondition,
             Self::TakenOver => Code::Aborted,
             Self::TooManySessions
             | Self::TooManyLoadedSessions
+            | Self::TooBusy
             | Self::MessageTooLarge
             | Self::StorageFull => Code::ResourceExhausted,
             Self::StorageFailed | Self::ShuttingDown => Code::Unavailable,
@@ -118,12 +133,17 @@ impl ErrorCode {
     pub fn http(self) -> StatusCode {
         match self {
             Self::InvalidArgument => StatusCode::BAD_REQUEST,
-            Self::SessionNotFound | Self::KeyframeNotFound | Self::ImageNotFound | Self::NotFound => {
-                StatusCode::NOT_FOUND
-            }
+            Self::SessionNotFound
+            | Self::KeyframeNotFound
+            | Self::PrimitiveNotFound
+            | Self::ImageNotFound
+            | Self::NotFound => StatusCode::NOT_FOUND,
+            Self::NotAvailable => StatusCode::NOT_IMPLEMENTED,
             Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
             Self::SessionExists | Self::WriterConnected | Self::TakenOver => StatusCode::CONFLICT,
-            Self::TooManySessions | Self::TooManyLoadedSessions => StatusCode::TOO_MANY_REQUESTS,
+            Self::TooManySessions | Self::TooManyLoadedSessions | Self::TooBusy => {
+                StatusCode::TOO_MANY_REQUESTS
+            }
             Self::MessageTooLarge => StatusCode::PAYLOAD_TOO_LARGE,
             Self::StorageFull => StatusCode::INSUFFICIENT_STORAGE,
             Self::StorageFailed | Self::ShuttingDown => StatusCode::SERVICE_UNAVAILABLE,

@@ -24,6 +24,7 @@ mod service;
 pub mod session;
 mod shutdown;
 mod telemetry;
+mod watch;
 
 pub use clock::SystemClock;
 pub use config::{Config, ConfigArgs, Limits, LogFormat, SessionConfig};
@@ -32,3 +33,4 @@ pub use server::{DATABASE_FILE, Running, Server, Shutdown, open_store};
 pub use service::{NewSession, Service, SessionList, SessionView};
 pub use shutdown::requested as shutdown_requested;
 pub use telemetry::start_log;
+pub use watch::{Watched, watch};

@@ -1,7 +1,7 @@
 //! From what a client asks of a session to what the engine runs with.
 
 use crate::error::{ApiError, ErrorCode, FieldViolation};
-use slam::{SlamConfig, Threading};
+use slam::{FeatureSwitches, SlamConfig, Threading};
 use store::SessionOptions;
 
 /// The engine's configuration for these options.
@@ -9,12 +9,19 @@ use store::SessionOptions;
 /// # Errors
 /// With a violation per option that cannot be used.
 pub fn engine_config(options: &SessionOptions) -> Result<SlamConfig, ApiError> {
-    let violations = unavailable(options);
+    let violations = contradictions(options);
     if let Some(first) = violations.first() {
         let message = format!("{}: {}", first.field, first.description);
         return Err(ApiError { code: ErrorCode::InvalidArgument, message, violations });
     }
     let mut config = SlamConfig::default();
+    let lines = options.lines.unwrap_or(config.features.lines);
+    config.features = FeatureSwitches {
+        lines,
+        // Without lines there are none, unless they are asked for, which is refused above.
+        global_primitives: lines && options.global_primitives.unwrap_or(config.features.global_primitives),
+        loop_closing: options.loop_closing.unwrap_or(config.features.loop_closing),
+    };
     if options.deterministic == Some(true) {
         config.threading = Threading::Inline;
     }
@@ -39,29 +46,18 @@ pub fn engine_config(options: &SessionOptions) -> Result<SlamConfig, ApiError> {
     Ok(config)
 }
 
-/// The options asked for that this version does not have. Asking for what is there, or to leave out what is not,
-/// is fine.
-fn unavailable(options: &SessionOptions) -> Vec<FieldViolation> {
+/// The options that cannot be met together, or at all.
+fn contradictions(options: &SessionOptions) -> Vec<FieldViolation> {
     let asked = [
         (
             "options.points",
             options.points == Some(false),
-            "points cannot be left out: nothing else is tracked yet",
-        ),
-        (
-            "options.lines",
-            options.lines == Some(true),
-            "lines are not available in this version; leave the field out",
+            "points cannot be left out: the map is begun and places are recognised by them",
         ),
         (
             "options.global_primitives",
-            options.global_primitives == Some(true),
-            "global primitives are not available in this version; leave the field out",
-        ),
-        (
-            "options.loop_closing",
-            options.loop_closing == Some(true),
-            "loop closing is not available in this version; leave the field out",
+            options.global_primitives == Some(true) && options.lines == Some(false),
+            "global primitives are directions of lines and need them: leave out lines = false, or set this to false too",
         ),
     ];
     let wrong = asked.into_iter().filter(|(_, is_wrong, _)| *is_wrong);
@@ -74,15 +70,28 @@ fn unavailable(options: &SessionOptions) -> Vec<FieldViolation> {
 mod tests {
     use super::*;
 
+    fn switches(lines: Option<bool>, global_primitives: Option<bool>) -> Result<(bool, bool), ApiError> {
+        let options = SessionOptions { lines, global_primitives, ..SessionOptions::default() };
+        engine_config(&options).map(|config| (config.features.lines, config.features.global_primitives))
+    }
+
     #[test]
-    fn what_is_not_available_is_refused_by_name_and_leaving_it_out_is_not() {
-        let asked =
-            SessionOptions { lines: Some(true), loop_closing: Some(true), ..SessionOptions::default() };
-        let error = engine_config(&asked).unwrap_err();
-        let fields: Vec<_> = error.violations.iter().map(|violation| violation.field.as_str()).collect();
-        assert_eq!(fields, ["options.lines", "options.loop_closing"]);
-        let left_out = SessionOptions { lines: Some(false), points: Some(true), ..SessionOptions::default() };
-        assert!(engine_config(&left_out).is_ok());
+    fn switches_reach_the_engine_and_are_on_when_left_out() {
+        assert_eq!(engine_config(&SessionOptions::default()).unwrap().features, FeatureSwitches::default());
+        assert_eq!(switches(None, None).unwrap(), (true, true));
+        assert_eq!(switches(Some(true), Some(false)).unwrap(), (true, false));
+        assert_eq!(switches(Some(false), Some(false)).unwrap(), (false, false));
+        assert_eq!(switches(Some(false), None).unwrap(), (false, false), "no lines, no primitives");
+        let open = SessionOptions { loop_closing: Some(false), ..SessionOptions::default() };
+        assert!(!engine_config(&open).unwrap().features.loop_closing);
+    }
+
+    #[test]
+    fn what_cannot_be_met_is_refused_by_name() {
+        let error = switches(Some(false), Some(true)).unwrap_err();
+        assert_eq!(error.violations[0].field, "options.global_primitives");
+        let asked = SessionOptions { points: Some(false), ..SessionOptions::default() };
+        assert_eq!(engine_config(&asked).unwrap_err().violations[0].field, "options.points");
     }
 
     #[test]

@@ -3,12 +3,17 @@
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
 use crate::options::engine_config;
-use crate::session::{FrameQueue, LoadedView, OpenRequest, Registry, Replies, Reply, SessionId};
+use crate::session::{
+    self, FrameQueue, LoadContext, LoadedView, Located, OpenRequest, Registry, Replies, Reply, SentImage,
+    SessionId,
+};
 use geometry::{Camera, CameraParameters};
 use slam::map::FrameState;
 use std::sync::Arc;
+use std::time::Duration;
 use std::time::{SystemTime, UNIX_EPOCH};
-use store::{SessionOptions, SessionRecord, Store, StoreError};
+use store::{SessionChanges, SessionOptions, SessionRecord, Store, StoreError};
+use tokio::sync::Semaphore;
 
 /// Sessions or rows on a page if the caller does not say.
 pub const DEFAULT_PAGE_SIZE: u32 = 100;
@@ -19,6 +24,12 @@ const MIN_IMAGE_PX: (u32, u32) = (160, 120);
 /// Largest image, pixels: what the memory of a session is sized for.
 const MAX_IMAGE_PX: (u32, u32) = (4096, 3072);
 
+/// How long a single image may wait for its turn to be located.
+const LOCALISATION_PATIENCE: Duration = Duration::from_secs(20);
+
+/// Metres a map unit can be: from an insect's flight to a satellite's.
+const METRES_PER_UNIT: std::ops::RangeInclusive<f64> = 1e-6..=1e9;
+
 /// The one service behind gRPC and HTTP.
 pub struct Service {
     config: Arc<Config>,
@@ -26,6 +37,8 @@ pub struct Service {
     registry: Registry,
     /// Sessions there are. Held while one is made, so that two at once cannot pass the limit.
     n_sessions: tokio::sync::Mutex<u64>,
+    /// Single images that may be located at the same time.
+    localisations: Semaphore,
 }
 
 /// A session to be made.
@@ -60,12 +73,18 @@ pub struct SessionView {
     pub n_keyframes: u64,
     /// Points.
     pub n_points: u64,
+    /// Lines.
+    pub n_lines: u64,
+    /// Global primitives.
+    pub n_primitives: u64,
     /// Submaps that have key frames.
     pub n_submaps: u32,
     /// Every frame up to this one is in the database.
     pub durable_sequence: Option<u64>,
     /// The frame the server expects next.
     pub next_sequence: u64,
+    /// Time of the last frame, nanoseconds: later ones must be after it. `None` before the first.
+    pub last_timestamp_ns: Option<i64>,
     /// Whether the session is in memory.
     pub loaded: bool,
     /// Whether a writer is connected.
@@ -89,7 +108,8 @@ impl Service {
     pub async fn new(config: Arc<Config>, store: Store) -> Result<Self, ApiError> {
         let registry = Registry::new(config.clone(), store.clone());
         let n_sessions = tokio::sync::Mutex::new(count_sessions(&store).await?);
-        Ok(Self { config, store, registry, n_sessions })
+        let localisations = Semaphore::new(config.sessions.n_localisations);
+        Ok(Self { config, store, registry, n_sessions, localisations })
     }
 
     /// What it runs with.
@@ -173,6 +193,82 @@ impl Service {
         Ok(())
     }
 
+    /// Changes a session's options; what is `None` stays. They hold from its next stream on.
+    ///
+    /// # Errors
+    /// If there is none of this id, a writer is connected, or an option cannot be used.
+    pub async fn update_session(
+        &self,
+        id: &SessionId,
+        options: SessionOptions,
+    ) -> Result<SessionView, ApiError> {
+        self.registry.check_open()?;
+        self.store.get_session(id.as_str()).await?;
+        let change = async {
+            let before = self.store.get_session(id.as_str()).await?.options;
+            let options = merged(before, options);
+            engine_config(&options)?;
+            let changes = SessionChanges { options: Some(options), ..SessionChanges::default() };
+            Ok(self.store.update_session(id.as_str(), &changes).await?)
+        };
+        let record = self.registry.change(id, change).await?;
+        tracing::info!(session.id = %id, "the options of session {id} were changed");
+        Ok(self.view(record))
+    }
+
+    /// Says how many metres a map unit of a session is, or, with `None`, that nobody knows.
+    ///
+    /// # Errors
+    /// If there is none of this id, or the number is not positive.
+    pub async fn set_scale(
+        &self,
+        id: &SessionId,
+        metres_per_unit: Option<f64>,
+    ) -> Result<SessionView, ApiError> {
+        if metres_per_unit.is_some_and(|metres| !(metres.is_finite() && METRES_PER_UNIT.contains(&metres))) {
+            let (least, most) = (METRES_PER_UNIT.start(), METRES_PER_UNIT.end());
+            return Err(ApiError::invalid(
+                "metres_per_unit",
+                format!("must be a number from {least} to {most}"),
+            ));
+        }
+        self.registry.check_open()?;
+        self.store.get_session(id.as_str()).await?;
+        let changes = SessionChanges { metres_per_unit: Some(metres_per_unit), ..SessionChanges::default() };
+        let store = async { Ok(self.store.update_session(id.as_str(), &changes).await?) };
+        let record = self.registry.set_scale(id, metres_per_unit, store).await?;
+        Ok(self.view(record))
+    }
+
+    /// Locates one image in a session's map, as of its last commit, without changing anything.
+    ///
+    /// # Errors
+    /// If there is none of this id, the image cannot be used, or too many wait. A place that is not found is no error.
+    pub async fn localise(&self, id: &SessionId, image: SentImage) -> Result<Located, ApiError> {
+        self.registry.check_open()?;
+        self.store.get_session(id.as_str()).await?;
+        let turn = tokio::time::timeout(LOCALISATION_PATIENCE, self.localisations.acquire()).await;
+        let _turn = turn
+            .map_err(|_elapsed| {
+                let sentence = "as many images are being located as this server takes; try again later";
+                ApiError::new(ErrorCode::TooBusy, sentence)
+            })?
+            .map_err(ApiError::internal)?;
+        let context = LoadContext { store: &self.store, id };
+        session::localise(&context, image, self.config.decode_limits()).await
+    }
+
+    /// Global bundle adjustment of a session's map.
+    ///
+    /// # Errors
+    /// Always: this version has none.
+    pub async fn optimise(&self, id: &SessionId) -> Result<(), ApiError> {
+        self.store.get_session(id.as_str()).await?;
+        let sentence =
+            "this version has no global bundle adjustment; maps are adjusted locally while frames come in";
+        Err(ApiError::new(ErrorCode::NotAvailable, sentence))
+    }
+
     /// Opens a stream of frames into a session; the answers go to `replies`, the session's state first.
     ///
     /// # Errors
@@ -210,24 +306,44 @@ impl Service {
             n_frames: counts.n_frames,
             n_keyframes: counts.n_keyframes,
             n_points: counts.n_points,
+            n_lines: counts.n_lines,
+            n_primitives: counts.n_primitives,
             n_submaps: counts.n_submaps,
             durable_sequence,
             next_sequence: durable_sequence.map_or(0, |sequence| sequence.saturating_add(1)),
+            last_timestamp_ns: last_frame.map(|(_, timestamp_ns)| timestamp_ns),
             loaded: loaded.is_some(),
             has_writer: false,
         };
         if let Some(LoadedView { live, has_writer }) = loaded {
             view.has_writer = has_writer;
             view.state = live.state.or(view.state);
-            if let Some(last) = live.last_sequence {
-                view.next_sequence = view.next_sequence.max(last.saturating_add(1));
+            if let Some((sequence, timestamp_ns)) = live.last_frame {
+                view.next_sequence = view.next_sequence.max(sequence.saturating_add(1));
+                view.last_timestamp_ns = view.last_timestamp_ns.max(Some(timestamp_ns));
             }
             if live.state.is_some() {
                 view.n_keyframes = live.n_keyframes as u64;
                 view.n_points = live.n_points as u64;
+                view.n_lines = live.n_lines as u64;
+                view.n_primitives = live.n_primitives as u64;
             }
         }
         view
+    }
+}
+
+/// Options with some of them changed.
+fn merged(before: SessionOptions, changes: SessionOptions) -> SessionOptions {
+    SessionOptions {
+        deterministic: changes.deterministic.or(before.deterministic),
+        seed: changes.seed.or(before.seed),
+        n_features: changes.n_features.or(before.n_features),
+        points: changes.points.or(before.points),
+        lines: changes.lines.or(before.lines),
+        global_primitives: changes.global_primitives.or(before.global_primitives),
+        loop_closing: changes.loop_closing.or(before.loop_closing),
+        max_keyframes: changes.max_keyframes.or(before.max_keyframes),
     }
 }
 

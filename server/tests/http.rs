@@ -148,6 +148,16 @@ async fn wrong_parameters_are_named() {
         ("/v1/sessions/kitchen/points?near=0,0,NaN&radius=1", "near"),
         ("/v1/sessions/kitchen/points?near=0,0,0&radius=-1", "radius"),
         ("/v1/sessions/kitchen/points?radius=1", "near"),
+        ("/v1/sessions/kitchen/lines?bbox=0,0,0,1,1", "bbox"),
+        ("/v1/sessions/kitchen/lines?near=0,0,0", "radius"),
+        ("/v1/sessions/kitchen/lines?primitive_id=0", "primitive_id"),
+        ("/v1/sessions/kitchen/lines?page_token=x", "page_token"),
+        ("/v1/sessions/kitchen/primitives/0", "p"),
+        ("/v1/sessions/kitchen/primitives?page_token=-1", "page_token"),
+        ("/v1/sessions/kitchen/graph?kind=family", "query"),
+        ("/v1/sessions/kitchen/map?format=xyz", "query"),
+        ("/v1/sessions/kitchen/map?format=colmap", "part"),
+        ("/v1/sessions/kitchen/map?format=ply&part=images", "part"),
     ];
     for (path, field) in cases {
         let answer = api.get(path).await;
@@ -182,11 +192,36 @@ async fn an_empty_session_has_an_empty_map() {
     let expected = json!({ "session_id": "kitchen", "transform": "world_from_camera", "scale": "up_to_scale", "poses": [] });
     assert_eq!(trajectory, expected);
     let keyframes = api.get("/v1/sessions/kitchen/keyframes").await.json();
-    assert_eq!(keyframes, json!({ "keyframes": [], "next_page_token": null }));
+    assert_eq!(keyframes, json!({ "scale": "up_to_scale", "keyframes": [], "next_page_token": null }));
     let points = api.get("/v1/sessions/kitchen/points?near=0,0,0&radius=10").await.json();
-    assert_eq!(points, json!({ "points": [], "next_page_token": null }));
+    assert_eq!(points, json!({ "scale": "up_to_scale", "points": [], "next_page_token": null }));
     let missing = api.get("/v1/sessions/kitchen/keyframes/1").await;
     assert_eq!(missing.problem()["code"], "KEYFRAME_NOT_FOUND");
+    let lines = api.get("/v1/sessions/kitchen/lines?bbox=-1,-1,-1,1,1,1").await.json();
+    assert_eq!(lines, json!({ "scale": "up_to_scale", "lines": [], "next_page_token": null }));
+    let primitives = api.get("/v1/sessions/kitchen/primitives").await.json();
+    assert_eq!(primitives, json!({ "primitives": [], "next_page_token": null }));
+    let missing = api.get("/v1/sessions/kitchen/primitives/1").await;
+    assert_eq!(missing.problem()["code"], "PRIMITIVE_NOT_FOUND");
+    for kind in ["covisibility", "essential", "primitives"] {
+        let graph = api.get(&format!("/v1/sessions/kitchen/graph?kind={kind}")).await.json();
+        let expected = json!({ "session_id": "kitchen", "kind": kind, "scale": "up_to_scale", "nodes": [], "edges": [] });
+        assert_eq!(graph, expected);
+    }
+    let ply = api.get("/v1/sessions/kitchen/map").await;
+    assert!(String::from_utf8(ply.body).unwrap().contains("element vertex 0\n"));
+    for part in ["cameras", "images", "points3D"] {
+        let answer = api.get(&format!("/v1/sessions/kitchen/map?format=colmap&part={part}")).await;
+        assert_eq!(
+            (answer.status, answer.content_type.as_str()),
+            (StatusCode::OK, "text/plain; charset=utf-8")
+        );
+    }
+    let whole = api.get("/v1/sessions/kitchen/map?format=json").await.json();
+    assert_eq!(
+        (&whole["points"], &whole["lines"], &whole["session_id"]),
+        (&json!([]), &json!([]), &json!("kitchen"))
+    );
 }
 
 #[tokio::test]

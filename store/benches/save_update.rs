@@ -59,7 +59,7 @@ async fn main() {
 /// The map with one more key frame, after bundle adjustment moved what is near it.
 fn next_update(parts: &mut MapParts, round: u64) -> MapUpdate {
     let mut numbers = Numbers(1000 + round);
-    let id = kf(parts.last_keyframe_id + 1);
+    let id = kf(parts.last_ids.keyframe + 1);
     let last = parts.keyframes.last().unwrap();
     let keyframe = Keyframe::from_parts(
         id,
@@ -71,13 +71,13 @@ fn next_update(parts: &mut MapParts, round: u64) -> MapUpdate {
         Some(last.id),
     );
     parts.keyframes.push(keyframe);
-    parts.last_keyframe_id += 1;
+    parts.last_ids.keyframe += 1;
     let mut changes = MapChanges::default();
     // The newest key frames, where there is room for more points.
     let near = parts.keyframes.len() - 5;
     for _ in 0..N_NEW_POINTS {
-        parts.last_point_id += 1;
-        let point = point(&mut numbers, &mut parts.keyframes[near..], pt(parts.last_point_id));
+        parts.last_ids.point += 1;
+        let point = point(&mut numbers, &mut parts.keyframes[near..], pt(parts.last_ids.point));
         changes.points.insert(point.id);
         parts.points.push(point);
     }

@@ -8,7 +8,7 @@ const ROWS_PER_STEP: i64 = 5_000;
 
 /// Deletions that take at most the bound number of a session's rows each. Blobs first: the pages they free are what the
 /// R*Tree rearranges itself in when the database is full.
-const STEPS: [&str; 6] = [
+const STEPS: [&str; 9] = [
     // Pages of blobs are what takes the time here, hence fewer rows.
     "DELETE FROM keyframe_images WHERE session = ?1 AND keyframe IN
          (SELECT keyframe FROM keyframe_images WHERE session = ?1 LIMIT ?2 / 50)",
@@ -19,6 +19,11 @@ const STEPS: [&str; 6] = [
     "DELETE FROM points WHERE session = ?1 AND id IN (SELECT id FROM points WHERE session = ?1 LIMIT ?2)",
     "DELETE FROM point_cells WHERE key IN
          (SELECT key FROM point_cells WHERE session_min >= ?1 AND session_max <= ?1 LIMIT ?2)",
+    "DELETE FROM lines WHERE session = ?1 AND id IN (SELECT id FROM lines WHERE session = ?1 LIMIT ?2)",
+    "DELETE FROM line_cells WHERE key IN
+         (SELECT key FROM line_cells WHERE session_min >= ?1 AND session_max <= ?1 LIMIT ?2)",
+    "DELETE FROM keyframe_vanishing WHERE session = ?1 AND keyframe IN
+         (SELECT keyframe FROM keyframe_vanishing WHERE session = ?1 LIMIT ?2 / 10)",
     "DELETE FROM removed_keyframes WHERE session = ?1 AND id IN
          (SELECT id FROM removed_keyframes WHERE session = ?1 LIMIT ?2)",
 ];
@@ -62,7 +67,7 @@ impl Store {
         for step in STEPS {
             while self.delete_some(step, number).await? > 0 {}
         }
-        // The key frames go with the session's row.
+        // The key frames and primitives go with the session's row.
         let mut transaction = self.begin_write().await?;
         delete_row(&mut transaction, number).await?;
         transaction.commit().await

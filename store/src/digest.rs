@@ -38,16 +38,16 @@ impl fmt::Display for Digest {
 
 /// Every table with every column but the session's number and name and wall-clock time, ordered by key. Parameter 1
 /// is the session's number, 2 the mask of a point's id in a key.
-const TABLES: [(&str, &str); 8] = [
+const TABLES: [(&str, &str); 12] = [
     (
         "sessions",
-        "SELECT camera, options, state, last_sequence, last_timestamp_ns, last_keyframe_id, last_point_id, n_frames,
-         n_keyframes, n_points, n_submaps, metres_per_unit FROM sessions WHERE number = ?1",
+        "SELECT camera, options, state, last_sequence, last_timestamp_ns, last_keyframe_id, last_point_id, last_line_id,
+         last_primitive_id, n_frames, n_keyframes, n_points, n_lines, n_primitives, n_submaps, metres_per_unit FROM sessions WHERE number = ?1",
     ),
     (
         "keyframes",
-        "SELECT id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, n_keypoints, n_points
-         FROM keyframes WHERE session = ?1 ORDER BY id",
+        "SELECT id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, n_keypoints, n_points,
+         n_segments, n_lines FROM keyframes WHERE session = ?1 ORDER BY id",
     ),
     (
         "keyframe_features",
@@ -70,6 +70,26 @@ const TABLES: [(&str, &str); 8] = [
         "point_cells",
         "SELECT key & ?2, x_min, x_max, y_min, y_max, z_min, z_max FROM point_cells
          WHERE session_min >= ?1 AND session_max <= ?1 ORDER BY key",
+    ),
+    (
+        "keyframe_vanishing",
+        "SELECT keyframe, vanishing FROM keyframe_vanishing WHERE session = ?1 ORDER BY keyframe",
+    ),
+    (
+        "lines",
+        "SELECT id, submap, moment_x, moment_y, moment_z, direction_x, direction_y, direction_z, start_x, start_y,
+         start_z, end_x, end_y, end_z, descriptor, created_by, n_visible, n_found, primitive, n_observations,
+         observations FROM lines WHERE session = ?1 ORDER BY id",
+    ),
+    (
+        "line_cells",
+        "SELECT key & ?2, x_min, x_max, y_min, y_max, z_min, z_max FROM line_cells
+         WHERE session_min >= ?1 AND session_max <= ?1 ORDER BY key",
+    ),
+    (
+        "primitives",
+        "SELECT id, submap, direction_x, direction_y, direction_z, covariance, created_by, n_observations,
+         observations FROM primitives WHERE session = ?1 ORDER BY id",
     ),
     (
         "frames",

@@ -6,8 +6,8 @@ use crate::session::session_number;
 use crate::{Store, StoreError};
 use geometry::Pose;
 use slam::map::{KeyframeId, SubmapId};
-use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, SqliteConnection};
 
 /// A stored key frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,6 +28,10 @@ pub struct KeyframeRecord {
     pub n_keypoints: u32,
     /// Keypoints that see a point.
     pub n_points: u32,
+    /// Segments measured in it.
+    pub n_segments: u32,
+    /// Segments that see a line.
+    pub n_lines: u32,
     /// Whether its image was kept.
     pub has_image: bool,
 }
@@ -51,7 +55,7 @@ pub struct StoredImage {
 }
 
 const SELECT_KEYFRAMES: &str = "SELECT id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, \
-     n_keypoints, n_points, \
+     n_keypoints, n_points, n_segments, n_lines, \
      EXISTS (SELECT 1 FROM keyframe_images i WHERE i.session = k.session AND i.keyframe = k.id) \
      FROM keyframes k WHERE session = ?1 AND id BETWEEN ?2 AND ?3 ORDER BY id LIMIT ?4";
 
@@ -116,15 +120,26 @@ impl Store {
     ) -> Result<Vec<KeyframeRecord>, StoreError> {
         let mut reader = self.reader().await?;
         let number = session_number(&mut reader, session).await?;
-        let rows = sqlx::query(SELECT_KEYFRAMES)
-            .bind(number)
-            .bind(first)
-            .bind(last)
-            .bind(limit)
-            .fetch_all(&mut *reader)
-            .await?;
-        rows.iter().map(parse_keyframe).collect()
+        select_keyframes(&mut reader, number, first, last, limit).await
     }
+}
+
+/// Key frames with ids from `first` to `last`, at most `limit`.
+pub(crate) async fn select_keyframes(
+    connection: &mut SqliteConnection,
+    session: i64,
+    first: i64,
+    last: i64,
+    limit: i64,
+) -> Result<Vec<KeyframeRecord>, StoreError> {
+    let rows = sqlx::query(SELECT_KEYFRAMES)
+        .bind(session)
+        .bind(first)
+        .bind(last)
+        .bind(limit)
+        .fetch_all(connection)
+        .await?;
+    rows.iter().map(parse_keyframe).collect()
 }
 
 fn parse_keyframe(row: &SqliteRow) -> Result<KeyframeRecord, StoreError> {
@@ -138,6 +153,8 @@ fn parse_keyframe(row: &SqliteRow) -> Result<KeyframeRecord, StoreError> {
         parent: parent.map(keyframe_id).transpose()?,
         n_keypoints: from_column_u32("n_keypoints", row.try_get(12)?)?,
         n_points: from_column_u32("n_points", row.try_get(13)?)?,
-        has_image: row.try_get(14)?,
+        n_segments: from_column_u32("n_segments", row.try_get(14)?)?,
+        n_lines: from_column_u32("n_lines", row.try_get(15)?)?,
+        has_image: row.try_get(16)?,
     })
 }

@@ -1,12 +1,13 @@
-//! Where maps are kept: sessions, key frames, points and trajectories in one SQLite file.
+//! Where maps are kept: sessions, key frames, points, lines, global primitives and trajectories in one SQLite file.
 //!
 //! Start at [`Store`]. It takes and returns the types of `slam` and `geometry`, and nothing outside this crate knows
 //! that SQL is behind it.
 //!
 //! - [`Store::save_update`] writes one [`slam::MapUpdate`] in one transaction, and of it only the rows that changed.
 //! - [`Store::load_session`] gives back what [`slam::Pipeline::resume`] goes on with.
-//! - [`Store::trajectory`], [`Store::points`], [`Store::keyframes`] answer questions about sessions, loaded or not,
-//!   without holding a map in memory. [`Store::check`] says whether everything stored makes sense.
+//! - [`Store::trajectory`], [`Store::points`], [`Store::lines`], [`Store::keyframes`], [`Store::primitive`] answer
+//!   questions about sessions, loaded or not, without holding a map in memory; [`Store::snapshot`] reads a whole map
+//!   piece by piece as of one commit. [`Store::check`] says whether everything stored makes sense.
 //!
 //! After the end of the process, or of the machine, at any moment the database is as of its last commit: SQLite's
 //! write-ahead log, one writing connection, and one transaction per update see to that. Which columns hold wall-clock
@@ -48,24 +49,33 @@ mod check;
 mod delete;
 mod digest;
 mod error;
+mod graph;
 mod keyframes;
+mod lines;
 mod load;
 mod number;
+mod observations;
 mod open;
 mod points;
 mod pose;
+mod primitives;
 mod save;
 mod session;
+mod snapshot;
 mod trajectory;
 
 pub use check::Problem;
 pub use digest::{Digest, TableDigest};
 pub use error::StoreError;
+pub use graph::{Covisibility, SharedLandmarks};
 pub use keyframes::{KeyframePage, KeyframeRecord, StoredImage};
+pub use lines::{LinePage, LineQuery};
 pub use load::LoadedSession;
 pub use number::MAX_SEQUENCE;
 pub use open::{Durability, Store, StoreOptions};
 pub use points::{Bounds, PointPage, PointQuery};
+pub use primitives::{PrimitivePage, PrimitiveRecord};
 pub use save::{Committed, KeyframeImage, SessionStatus};
 pub use session::{NewSession, SessionChanges, SessionCounts, SessionOptions, SessionPage, SessionRecord};
+pub use snapshot::MapSnapshot;
 pub use trajectory::{StoredFrame, TrajectoryFilter, TrajectoryKind, TrajectoryPose};

@@ -1,13 +1,16 @@
 //! Loading a session's map, to take it up again.
 
-use crate::blob::{FeatureSettings, decode_features};
+use crate::blob::{FeatureSettings, decode_features, decode_vanishing};
+use crate::lines::{LINE_COLUMNS, parse_line};
 use crate::number::{from_column, keyframe_id, submap_id};
+use crate::observations::enter_observations;
 use crate::points::{POINT_COLUMNS, parse_point};
 use crate::pose::{read_pose, read_removed};
+use crate::primitives::read_primitives;
 use crate::session::parse_session;
 use crate::{SessionRecord, Store, StoreError};
 use geometry::Camera;
-use slam::map::{MapParts, PointLandmark};
+use slam::map::{LastIds, MapParts};
 use slam::{Keyframe, ResumeState, SlamConfig};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{AssertSqlSafe, Row, SqliteConnection};
@@ -16,8 +19,8 @@ use std::sync::Arc;
 /// Key frames fetched at a time, some 3 MB of features.
 const KEYFRAMES_PER_STEP: i64 = 64;
 
-/// Points fetched at a time.
-const POINTS_PER_STEP: i64 = 4096;
+/// Points or lines fetched at a time.
+const LANDMARKS_PER_STEP: i64 = 4096;
 
 /// A session with what its pipeline is taken up with.
 #[derive(Clone, Debug)]
@@ -49,18 +52,26 @@ impl Store {
         let settings = FeatureSettings { pinhole: working_camera.pinhole(), pyramid: config.pyramid() };
 
         let keyframes = read_keyframes(&mut transaction, number, Arc::new(working_camera), settings).await?;
-        let points = read_points(&mut transaction, number).await?;
+        let points = read_landmarks(&mut transaction, number, ("points", POINT_COLUMNS), parse_point).await?;
+        let lines = read_landmarks(&mut transaction, number, ("lines", LINE_COLUMNS), parse_line).await?;
+        let primitives = read_primitives(&mut transaction, number).await?;
         let removed_keyframes = read_removed(&mut transaction, number).await?;
         transaction.commit().await?;
 
-        let (keyframes, points) = blocking(move || enter_observations(keyframes, points)).await?;
-        let map = MapParts {
+        let parts = MapParts {
             keyframes,
             points,
+            lines,
+            primitives,
             removed_keyframes,
-            last_keyframe_id: from_column("last_keyframe_id", row.try_get("last_keyframe_id")?)?,
-            last_point_id: from_column("last_point_id", row.try_get("last_point_id")?)?,
+            last_ids: LastIds {
+                keyframe: from_column("last_keyframe_id", row.try_get("last_keyframe_id")?)?,
+                point: from_column("last_point_id", row.try_get("last_point_id")?)?,
+                line: from_column("last_line_id", row.try_get("last_line_id")?)?,
+                primitive: from_column("last_primitive_id", row.try_get("last_primitive_id")?)?,
+            },
         };
+        let map = blocking(move || enter_observations(parts)).await?;
         let resume = ResumeState { map, last_frame: record.last_frame };
         Ok(LoadedSession { record, resume })
     }
@@ -89,8 +100,9 @@ async fn read_keyframes(
     loop {
         let after = keyframes.last().map_or(0, |last| last.id.get() as i64);
         let rows = sqlx::query(
-            "SELECT k.id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, features
+            "SELECT k.id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, features, vanishing
              FROM keyframes k LEFT JOIN keyframe_features f ON f.session = k.session AND f.keyframe = k.id
+             LEFT JOIN keyframe_vanishing v ON v.session = k.session AND v.keyframe = k.id
              WHERE k.session = ? AND k.id > ? ORDER BY k.id LIMIT ?",
         )
         .bind(session)
@@ -121,8 +133,11 @@ fn parse_keyframe(
     let blob = blob.ok_or_else(|| corrupt(&"it has no features"))?;
     let features = decode_features(blob, camera, settings).map_err(|error| corrupt(&error))?;
     let features = features.map_err(|made_with| StoreError::OtherSettings(describe(&made_with, settings)))?;
+    let vanishing: Option<&[u8]> = row.try_get(13)?;
+    let vanishing = vanishing.map(|blob| decode_vanishing(blob, features.lines.len())).transpose();
+    let vanishing = vanishing.map_err(|error| corrupt(&error))?;
     let parent: Option<i64> = row.try_get(11)?;
-    Ok(Keyframe::from_parts(
+    let mut keyframe = Keyframe::from_parts(
         id,
         submap_id(row.try_get(1)?)?,
         from_column("a sequence", row.try_get(2)?)?,
@@ -130,7 +145,9 @@ fn parse_keyframe(
         read_pose(row, 4)?,
         Arc::new(features),
         parent.map(keyframe_id).transpose()?,
-    ))
+    );
+    keyframe.vanishing = vanishing.unwrap_or_default();
+    Ok(keyframe)
 }
 
 /// In which way the settings differ.
@@ -146,54 +163,25 @@ fn describe(made_with: &FeatureSettings, expected: &FeatureSettings) -> String {
     )
 }
 
-async fn read_points(
+/// Reads the rows of a table with a session and an id, in the order of their ids.
+async fn read_landmarks<T: Send + 'static>(
     connection: &mut SqliteConnection,
     session: i64,
-) -> Result<Vec<PointLandmark>, StoreError> {
-    let sql = format!("SELECT {POINT_COLUMNS} FROM points WHERE session = ? AND id > ? ORDER BY id LIMIT ?");
-    let mut points: Vec<PointLandmark> = Vec::new();
+    (table, columns): (&str, &str),
+    parse: fn(&SqliteRow) -> Result<T, StoreError>,
+) -> Result<Vec<T>, StoreError> {
+    let sql = format!("SELECT {columns} FROM {table} WHERE session = ? AND id > ? ORDER BY id LIMIT ?");
+    let (mut landmarks, mut after) = (Vec::new(), 0_i64);
     loop {
-        let after = points.last().map_or(0, |last| last.id.get() as i64);
+        // Safe: the text is made of constants.
         let rows = sqlx::query(AssertSqlSafe(sql.as_str()))
             .bind(session)
             .bind(after)
-            .bind(POINTS_PER_STEP)
+            .bind(LANDMARKS_PER_STEP)
             .fetch_all(&mut *connection)
             .await?;
-        if rows.is_empty() {
-            return Ok(points);
-        }
-        points.extend(blocking(move || rows.iter().map(parse_point).collect::<Result<Vec<_>, _>>()).await?);
+        let Some(last) = rows.last() else { return Ok(landmarks) };
+        after = last.try_get(0)?;
+        landmarks.extend(blocking(move || rows.iter().map(parse).collect::<Result<Vec<_>, _>>()).await?);
     }
-}
-
-/// Tells the key frames, which are in the order of their ids, what they see.
-fn enter_observations(
-    mut keyframes: Vec<Keyframe>,
-    points: Vec<PointLandmark>,
-) -> Result<(Vec<Keyframe>, Vec<PointLandmark>), StoreError> {
-    for point in &points {
-        for seen in &point.observations {
-            let slot = keyframes
-                .binary_search_by_key(&seen.keyframe, |keyframe| keyframe.id)
-                .ok()
-                .and_then(|position| keyframes[position].points.get_mut(seen.feature_idx as usize));
-            match slot {
-                Some(slot @ None) => *slot = Some(point.id),
-                Some(Some(other)) => {
-                    return Err(StoreError::Corrupt(format!(
-                        "points {other} and {} claim the same keypoint of key frame {}",
-                        point.id, seen.keyframe
-                    )));
-                }
-                None => {
-                    return Err(StoreError::Corrupt(format!(
-                        "point {} claims keypoint {} of key frame {}, which is not there",
-                        point.id, seen.feature_idx, seen.keyframe
-                    )));
-                }
-            }
-        }
-    }
-    Ok((keyframes, points))
 }

@@ -1,7 +1,7 @@
 //! Numbers between the domain's unsigned ones and SQLite's signed 64 bits.
 
 use crate::StoreError;
-use slam::map::{KeyframeId, PointId, SubmapId};
+use slam::map::{KeyframeId, LineId, PointId, PrimitiveId, SubmapId};
 
 /// Greatest sequence number the store takes.
 pub const MAX_SEQUENCE: u64 = i64::MAX as u64;
@@ -33,6 +33,20 @@ pub(crate) fn point_id(value: i64) -> Result<PointId, StoreError> {
         .ok()
         .and_then(PointId::new)
         .ok_or_else(|| StoreError::Corrupt(format!("a point has the id {value}")))
+}
+
+pub(crate) fn line_id(value: i64) -> Result<LineId, StoreError> {
+    u64::try_from(value)
+        .ok()
+        .and_then(LineId::new)
+        .ok_or_else(|| StoreError::Corrupt(format!("a line has the id {value}")))
+}
+
+pub(crate) fn primitive_id(value: i64) -> Result<PrimitiveId, StoreError> {
+    u64::try_from(value)
+        .ok()
+        .and_then(PrimitiveId::new)
+        .ok_or_else(|| StoreError::Corrupt(format!("a primitive has the id {value}")))
 }
 
 pub(crate) fn submap_id(value: i64) -> Result<SubmapId, StoreError> {

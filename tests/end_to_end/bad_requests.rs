@@ -109,17 +109,21 @@ async fn an_unknown_session_is_not_found_everywhere() {
 }
 
 #[tokio::test]
-async fn options_that_are_not_there_are_refused_by_name() {
+async fn options_that_contradict_each_other_are_refused_by_name() {
     let server = TestServer::start().await;
     let mut client = server.client().await;
-    let options = v1::SessionOptions { lines: Some(true), ..v1::SessionOptions::default() };
+    let options = v1::SessionOptions {
+        lines: Some(false),
+        global_primitives: Some(true),
+        ..v1::SessionOptions::default()
+    };
     let request = v1::CreateSessionRequest {
-        session_id: "with-lines".into(),
+        session_id: "contradiction".into(),
         camera: Some(camera(640, 480)),
         options: Some(options),
     };
     let status = client.create_session(request).await.unwrap_err();
-    assert_eq!(field_of(&status), "options.lines");
+    assert_eq!(field_of(&status), "options.global_primitives");
 }
 
 #[tokio::test]

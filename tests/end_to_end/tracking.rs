@@ -113,27 +113,6 @@ async fn a_restarted_server_finds_its_place_and_goes_on() {
 }
 
 #[tokio::test]
-async fn frames_that_only_localize_leave_the_map_as_it_is() {
-    let server = TestServer::start().await;
-    let mut client = server.client().await;
-    let world = SmallWorld::new(1);
-    create_session(&mut client, "room", world.camera()).await.unwrap();
-    let mut stream = FrameStream::open(&mut client, open_message("room")).await.unwrap();
-    stream_frames(&mut stream, (0..N_FRAMES).map(|i| world.frame(i)).collect()).await;
-    stream.finish().await.unwrap();
-    let keyframes = server.get("/v1/sessions/room/keyframes?page_size=1000").await;
-
-    let open = v1::OpenStream { mode: v1::StreamMode::LocalizeOnly.into(), ..open_message("room") };
-    let mut stream = FrameStream::open(&mut client, open).await.unwrap();
-    let frames = (N_FRAMES..N_FRAMES + 20).map(|i| world.frame(i)).collect();
-    let results = stream_frames(&mut stream, frames).await;
-    stream.finish().await.unwrap();
-    assert!(n_tracked(&results) > 10, "only {} of 20 frames were located", n_tracked(&results));
-    assert!(results.iter().all(|result| !result.is_key_frame));
-    assert_eq!(server.get("/v1/sessions/room/keyframes?page_size=1000").await, keyframes);
-}
-
-#[tokio::test]
 async fn deterministic_sessions_give_the_same_database_each_time() {
     let world = SmallWorld::new(3);
     let mut digests = Vec::new();

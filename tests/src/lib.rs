@@ -41,6 +41,16 @@ impl TestServer {
         Self { config, running, folder }
     }
 
+    /// A server with a copy of the database that an ended server left in a folder.
+    pub async fn start_on_copy(of: &Path) -> Self {
+        let folder = tempfile::tempdir().expect("a folder for the database");
+        let file = server::DATABASE_FILE;
+        std::fs::copy(of.join(file), folder.path().join(file)).expect("the database is copied");
+        let config = Config::local(folder.path());
+        let running = Server::start(config.clone()).await.expect("the server starts");
+        Self { config, running, folder }
+    }
+
     /// Ends the server in order and starts another one on the same database.
     pub async fn restart(self) -> Self {
         let Self { config, running, folder } = self;

@@ -76,17 +76,19 @@ pub async fn run(args: SessionsArgs) -> Result<()> {
 
 fn table(sessions: &[v1::Session]) -> String {
     let head = format!(
-        "{:<24} {:<12} {:>9} {:>10} {:>9} {:>8} {:>7}\n",
-        "session", "state", "frames", "key frames", "points", "submaps", "writer"
+        "{:<24} {:<12} {:>9} {:>10} {:>9} {:>8} {:>10} {:>8} {:>7}\n",
+        "session", "state", "frames", "key frames", "points", "lines", "primitives", "submaps", "writer"
     );
     let row = |s: &v1::Session| {
         format!(
-            "{:<24} {:<12} {:>9} {:>10} {:>9} {:>8} {:>7}\n",
+            "{:<24} {:<12} {:>9} {:>10} {:>9} {:>8} {:>10} {:>8} {:>7}\n",
             s.id,
             state_name(s),
             s.n_frames,
             s.n_keyframes,
             s.n_points,
+            s.n_lines,
+            s.n_primitives,
             s.n_submaps,
             if s.has_writer { "yes" } else { "no" }
         )
@@ -124,6 +126,7 @@ fn as_json(session: &v1::Session) -> Value {
         "state": state_name(session), "frames": session.n_frames, "keyframes": session.n_keyframes,
         "points": session.n_points, "lines": session.n_lines, "primitives": session.n_primitives,
         "submaps": session.n_submaps, "durable_sequence": session.durable_sequence,
-        "next_sequence": session.next_sequence, "loaded": session.loaded, "has_writer": session.has_writer,
+        "next_sequence": session.next_sequence, "last_timestamp_ns": session.last_timestamp_ns,
+        "metres_per_unit": session.metres_per_unit, "loaded": session.loaded, "has_writer": session.has_writer,
     })
 }

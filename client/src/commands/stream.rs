@@ -8,8 +8,8 @@ use anyhow::{Result, bail, ensure};
 use clap::{Args, ValueEnum};
 use client::dataset::{Layout, Recording};
 use client::{
-    FrameSource, HttpClient, Pacing, Placement, SessionEnd, SlamClient, StreamPlan, StreamSummary,
-    camera_message, stream_frames,
+    FrameSource, Pacing, Placement, SessionEnd, SlamClient, StreamPlan, StreamSummary, camera_message,
+    stream_frames,
 };
 use proto::v1;
 
@@ -111,10 +111,9 @@ pub async fn run(args: StreamArgs) -> Result<()> {
         recording.frames.len()
     );
     let mut client = args.server.connect().await?;
-    let http = args.server.http(&mut client).await?;
     let session = open_session(&mut client, &args, &recording).await?;
     let source: Arc<dyn FrameSource> = Arc::new(recording);
-    let placement = place(&http, &session, source.as_ref(), &range, args.again).await?;
+    let placement = place(&session, source.as_ref(), &range, args.again);
     let range = remaining(&session, placement, range);
     let plan = StreamPlan {
         session_id: session.id.clone(),
@@ -180,19 +179,11 @@ async fn open_session(
 }
 
 /// Where in the session the recording goes.
-async fn place(
-    http: &HttpClient,
-    session: &v1::Session,
-    source: &dyn FrameSource,
-    range: &Range<usize>,
-    again: bool,
-) -> Result<Placement> {
-    if session.next_sequence == 0 {
-        return Ok(Placement::AS_RECORDED);
-    }
-    let last_frame = http.last_pose(&session.id).await?;
+fn place(session: &v1::Session, source: &dyn FrameSource, range: &Range<usize>, again: bool) -> Placement {
+    let last_sequence = session.next_sequence.checked_sub(1);
+    let last_frame = last_sequence.zip(session.last_timestamp_ns);
     let end = SessionEnd { next_sequence: session.next_sequence, last_frame };
-    Ok(Placement::in_session(end, source, range, again))
+    Placement::in_session(end, source, range, again)
 }
 
 /// The frames of the range that the session does not have yet.

@@ -3,10 +3,13 @@
 use crate::error::{ApiError, ErrorCode, FieldViolation};
 use crate::service::{NewSession, SessionView};
 use crate::session::{
-    Answer, Before, Encoding, Mode, OpenRequest, Policy, Rejection, Reply, SentFrame, SentImage, SessionId,
+    Answer, Before, Encoding, Located, MapChange, Mode, OpenRequest, Policy, Rejection, Reply, SentFrame,
+    SentImage, SessionEvent, SessionId,
 };
+use crate::watch::Watched;
 use geometry::{CameraModel, CameraParameters, Pose};
 use proto::v1;
+use proto::v1::session_event::Event;
 use proto::v1::stream_frames_response::Message;
 use slam::FrameReport;
 use slam::map::FrameState;
@@ -37,7 +40,7 @@ fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, ApiError> {
     Ok(CameraParameters { model, width, height, fx, fy, cx, cy, distortion })
 }
 
-fn session_options(options: v1::SessionOptions) -> SessionOptions {
+pub(super) fn session_options(options: v1::SessionOptions) -> SessionOptions {
     let v1::SessionOptions {
         deterministic,
         seed,
@@ -60,6 +63,73 @@ fn session_options(options: v1::SessionOptions) -> SessionOptions {
     }
 }
 
+pub(super) fn located(located: &Located) -> v1::LocalizeResponse {
+    let Located { report, metres_per_unit, durable_sequence, load_ns, locate_ns } = located;
+    let result = frame_result(report, *metres_per_unit);
+    v1::LocalizeResponse {
+        state: result.state,
+        reason: result.reason,
+        pose_world_from_camera: result.pose_world_from_camera,
+        scale: result.scale,
+        submap_id: result.submap_id,
+        n_inlier_points: result.n_inlier_points,
+        n_inlier_lines: result.n_inlier_lines,
+        n_keypoints: result.n_keypoints,
+        durable_sequence: *durable_sequence,
+        load_ms: ms(*load_ns),
+        locate_ms: ms(*locate_ns),
+    }
+}
+
+pub(super) fn session_event(watched: Watched) -> v1::SessionEvent {
+    let event = match watched {
+        // Whoever is told of new settings is sent the session.
+        Watched::Event(SessionEvent::Settings) => None,
+        Watched::Session(view) => Some(Event::Session(session(&view))),
+        Watched::Missed(n) => Some(Event::Missed(n)),
+        Watched::Event(SessionEvent::Map(change)) => Some(Event::Map(map_event(&change))),
+        Watched::Event(SessionEvent::Frame { report, metres_per_unit }) => {
+            Some(Event::Frame(frame_event(&report, metres_per_unit)))
+        }
+    };
+    v1::SessionEvent { event }
+}
+
+fn frame_event(report: &FrameReport, metres_per_unit: Option<f64>) -> v1::FrameEvent {
+    let result = frame_result(report, metres_per_unit);
+    v1::FrameEvent {
+        sequence: result.sequence,
+        timestamp_ns: result.timestamp_ns,
+        state: result.state,
+        reason: result.reason,
+        pose_world_from_camera: result.pose_world_from_camera,
+        scale: result.scale,
+        submap_id: result.submap_id,
+        is_key_frame: result.is_key_frame,
+        relocalised: result.relocalised,
+    }
+}
+
+fn map_event(change: &MapChange) -> v1::MapEvent {
+    let [n_changed_points, n_removed_points] = change.n_points.map(|n| n as u64);
+    let [n_changed_lines, n_removed_lines] = change.n_lines.map(|n| n as u64);
+    let [n_keyframes, n_points, n_lines, n_primitives] = change.totals.map(|n| n as u64);
+    v1::MapEvent {
+        changed_keyframes: change.changed_keyframes.iter().map(|id| id.get()).collect(),
+        removed_keyframes: change.removed_keyframes.iter().map(|id| id.get()).collect(),
+        n_changed_points,
+        n_removed_points,
+        n_changed_lines,
+        n_removed_lines,
+        changed_primitives: change.changed_primitives.iter().map(|id| id.get()).collect(),
+        removed_primitives: change.removed_primitives.iter().map(|id| id.get()).collect(),
+        n_keyframes,
+        n_points,
+        n_lines,
+        n_primitives,
+    }
+}
+
 pub(super) fn session(view: &SessionView) -> v1::Session {
     v1::Session {
         id: view.id.clone(),
@@ -70,13 +140,15 @@ pub(super) fn session(view: &SessionView) -> v1::Session {
         n_frames: view.n_frames,
         n_keyframes: view.n_keyframes,
         n_points: view.n_points,
-        n_lines: 0,
-        n_primitives: 0,
+        n_lines: view.n_lines,
+        n_primitives: view.n_primitives,
         n_submaps: view.n_submaps,
         durable_sequence: view.durable_sequence,
         next_sequence: view.next_sequence,
         loaded: view.loaded,
         has_writer: view.has_writer,
+        last_timestamp_ns: view.last_timestamp_ns,
+        metres_per_unit: view.metres_per_unit,
     }
 }
 
@@ -162,9 +234,21 @@ pub(super) fn frame(frame: v1::Frame) -> Result<SentFrame, Rejection> {
     let Some(image) = image else {
         return Err(reject("image", "a frame needs an image", "MISSING_IMAGE"));
     };
-    let Ok(encoding) = v1::ImageEncoding::try_from(image.encoding) else {
+    let Some(image) = sent_image(image) else {
         return Err(reject("image.encoding", "is none this server knows", "UNKNOWN_FORMAT"));
     };
+    Ok(SentFrame { sequence, timestamp_ns, image, arrived: Instant::now() })
+}
+
+/// The image of a request to locate it.
+pub(super) fn image_to_locate(image: Option<v1::Image>) -> Result<SentImage, ApiError> {
+    let image = image.ok_or_else(|| ApiError::invalid("image", "is needed"))?;
+    sent_image(image).ok_or_else(|| ApiError::invalid("image.encoding", "is none this server knows"))
+}
+
+/// `None` if the encoding is unknown.
+fn sent_image(image: v1::Image) -> Option<SentImage> {
+    let encoding = v1::ImageEncoding::try_from(image.encoding).ok()?;
     let encoding = match encoding {
         v1::ImageEncoding::Unspecified => Encoding::Auto,
         v1::ImageEncoding::Png => Encoding::Png,
@@ -177,16 +261,15 @@ pub(super) fn frame(frame: v1::Frame) -> Result<SentFrame, Rejection> {
         v1::ImageEncoding::Bgra8 => Encoding::Raw(PixelFormat::Bgra8),
     };
     let v1::Image { encoding: _, width, height, row_stride, data } = image;
-    let image = SentImage { encoding, width, height, row_stride, data };
-    Ok(SentFrame { sequence, timestamp_ns, image, arrived: Instant::now() })
+    Some(SentImage { encoding, width, height, row_stride, data })
 }
 
 pub(super) fn reply(reply: Reply) -> v1::StreamFramesResponse {
     let message = match reply {
         Reply::Opened(view) => Message::Opened(v1::StreamOpened { session: Some(session(&view)) }),
         Reply::Answered(answer) => Message::Result(answered(*answer)),
-        Reply::Repeated { sequence, timestamp_ns, before, durable_sequence } => {
-            let result = repeated(sequence, timestamp_ns, before.as_ref());
+        Reply::Repeated { sequence, timestamp_ns, before, durable_sequence, metres_per_unit } => {
+            let result = repeated(sequence, timestamp_ns, before.as_ref(), metres_per_unit);
             Message::Result(v1::FrameResult { durable_sequence, repeated: true, ..result })
         }
         Reply::Dropped(sequence) => {
@@ -201,7 +284,7 @@ pub(super) fn reply(reply: Reply) -> v1::StreamFramesResponse {
 }
 
 fn answered(answer: Answer) -> v1::FrameResult {
-    let Answer { report, durable_sequence, queued_ns } = answer;
+    let Answer { report, durable_sequence, queued_ns, metres_per_unit } = answer;
     let timings = v1::FrameTimings {
         stages: report
             .stages
@@ -212,12 +295,17 @@ fn answered(answer: Answer) -> v1::FrameResult {
         tracking_cpu_ms: ms(report.cpu_ns),
         queue_ms: ms(queued_ns),
     };
-    v1::FrameResult { durable_sequence, timings: Some(timings), ..frame_result(&report) }
+    v1::FrameResult { durable_sequence, timings: Some(timings), ..frame_result(&report, metres_per_unit) }
 }
 
-fn repeated(sequence: u64, timestamp_ns: i64, before: Option<&Before>) -> v1::FrameResult {
+fn repeated(
+    sequence: u64,
+    timestamp_ns: i64,
+    before: Option<&Before>,
+    metres_per_unit: Option<f64>,
+) -> v1::FrameResult {
     match before {
-        Some(Before::Recent(report)) => frame_result(report),
+        Some(Before::Recent(report)) => frame_result(report, metres_per_unit),
         Some(Before::Stored(frame)) => v1::FrameResult {
             sequence,
             timestamp_ns: frame.timestamp_ns,
@@ -225,8 +313,8 @@ fn repeated(sequence: u64, timestamp_ns: i64, before: Option<&Before>) -> v1::Fr
             pose_world_from_camera: frame
                 .world_from_camera
                 .as_ref()
-                .map(|(_, world_from_camera)| pose(world_from_camera)),
-            scale: v1::ScaleKind::UpToScale.into(),
+                .map(|(_, world_from_camera)| pose(world_from_camera, metres_per_unit)),
+            scale: scale_kind(metres_per_unit).into(),
             submap_id: frame.world_from_camera.map_or(0, |(submap, _)| submap.0),
             ..v1::FrameResult::default()
         },
@@ -239,14 +327,14 @@ fn repeated(sequence: u64, timestamp_ns: i64, before: Option<&Before>) -> v1::Fr
     }
 }
 
-fn frame_result(report: &FrameReport) -> v1::FrameResult {
+fn frame_result(report: &FrameReport, metres_per_unit: Option<f64>) -> v1::FrameResult {
     v1::FrameResult {
         sequence: report.sequence,
         timestamp_ns: report.timestamp_ns,
         state: tracking_state(report.outcome.state()).into(),
         reason: report.outcome.reason(),
-        pose_world_from_camera: report.world_from_camera.as_ref().map(pose),
-        scale: v1::ScaleKind::UpToScale.into(),
+        pose_world_from_camera: report.world_from_camera.as_ref().map(|camera| pose(camera, metres_per_unit)),
+        scale: scale_kind(metres_per_unit).into(),
         submap_id: report.submap.0,
         n_inlier_points: report.n_inlier_points as u32,
         n_inlier_lines: report.n_inlier_lines as u32,
@@ -259,8 +347,13 @@ fn frame_result(report: &FrameReport) -> v1::FrameResult {
     }
 }
 
-fn pose(pose: &Pose) -> v1::Pose {
-    let (t, q) = (&pose.translation, pose.rotation.quaternion());
+fn scale_kind(metres_per_unit: Option<f64>) -> v1::ScaleKind {
+    if metres_per_unit.is_some() { v1::ScaleKind::Metric } else { v1::ScaleKind::UpToScale }
+}
+
+/// A pose on the wire, in metres where it is known what they are.
+fn pose(pose: &Pose, metres_per_unit: Option<f64>) -> v1::Pose {
+    let (t, q) = (pose.translation * metres_per_unit.unwrap_or(1.0), pose.rotation.quaternion());
     v1::Pose { tx: t.x, ty: t.y, tz: t.z, qx: q.i, qy: q.j, qz: q.k, qw: q.w }
 }
 

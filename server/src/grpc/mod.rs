@@ -6,11 +6,15 @@ mod stream;
 use crate::error::ApiError;
 use crate::service::Service;
 use crate::session::SessionId;
+use crate::watch::watch;
 use proto::v1;
 use proto::v1::slam_service_server::{SlamService, SlamServiceServer};
+use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
+use tokio_stream::wrappers::ReceiverStream;
+use tokio_stream::{Stream, StreamExt};
 use tokio_util::sync::CancellationToken;
 use tonic::codegen::http::{HeaderName, HeaderValue};
 use tonic::service::Routes;
@@ -66,6 +70,9 @@ pub fn routes(service: Arc<Service>) -> anyhow::Result<Routes> {
     Ok(Routes::new(slam).add_service(reflection))
 }
 
+/// The server's side of a watch.
+type SessionEvents = Pin<Box<dyn Stream<Item = Result<v1::SessionEvent, Status>> + Send>>;
+
 /// Answers the calls.
 pub(crate) struct Handler {
     service: Arc<Service>,
@@ -108,6 +115,55 @@ impl SlamService for Handler {
         let id = session_id(&request.get_ref().session_id)?;
         self.service.delete_session(&id).await?;
         Ok(Response::new(v1::DeleteSessionResponse {}))
+    }
+
+    async fn update_session(
+        &self,
+        request: Request<v1::UpdateSessionRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        let v1::UpdateSessionRequest { session_id: id, options } = request.into_inner();
+        let options = options.map(convert::session_options).unwrap_or_default();
+        let view = self.service.update_session(&session_id(&id)?, options).await?;
+        Ok(Response::new(convert::session(&view)))
+    }
+
+    async fn set_scale(
+        &self,
+        request: Request<v1::SetScaleRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        let v1::SetScaleRequest { session_id: id, metres_per_unit } = request.into_inner();
+        let view = self.service.set_scale(&session_id(&id)?, metres_per_unit).await?;
+        Ok(Response::new(convert::session(&view)))
+    }
+
+    async fn localize(
+        &self,
+        request: Request<v1::LocalizeRequest>,
+    ) -> Result<Response<v1::LocalizeResponse>, Status> {
+        let v1::LocalizeRequest { session_id: id, image } = request.into_inner();
+        let id = session_id(&id)?;
+        let located = self.service.localise(&id, convert::image_to_locate(image)?).await?;
+        Ok(Response::new(convert::located(&located)))
+    }
+
+    async fn optimize_map(
+        &self,
+        request: Request<v1::OptimizeMapRequest>,
+    ) -> Result<Response<v1::OptimizeMapResponse>, Status> {
+        self.service.optimise(&session_id(&request.get_ref().session_id)?).await?;
+        Ok(Response::new(v1::OptimizeMapResponse {}))
+    }
+
+    type WatchMapStream = SessionEvents;
+
+    async fn watch_map(
+        &self,
+        request: Request<v1::WatchMapRequest>,
+    ) -> Result<Response<Self::WatchMapStream>, Status> {
+        let id = session_id(&request.get_ref().session_id)?;
+        let events = ReceiverStream::new(watch(self.service.clone(), id).await?);
+        let events = events.map(|event| event.map(convert::session_event).map_err(Status::from));
+        Ok(Response::new(Box::pin(events)))
     }
 
     type StreamFramesStream = stream::Answers;

@@ -1,7 +1,8 @@
 //! Key frames and their images.
 
 use super::extract::Params;
-use super::model::Pose;
+use super::model::{Pose, Scale};
+use super::units::Units;
 use super::{App, Problem};
 use crate::error::{ApiError, ErrorCode};
 use crate::service::checked_page_size;
@@ -34,6 +35,10 @@ pub(super) struct Keyframe {
     n_keypoints: u32,
     /// Keypoints that see a point.
     n_points: u32,
+    /// Segments measured in it.
+    n_segments: u32,
+    /// Segments that see a line.
+    n_lines: u32,
     /// Whether its image was kept.
     has_image: bool,
 }
@@ -41,23 +46,27 @@ pub(super) struct Keyframe {
 /// Some key frames in the order of their ids.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(super) struct KeyframePage {
+    /// What a length of 1 means.
+    scale: Scale,
     /// The key frames.
     keyframes: Vec<Keyframe>,
     /// Where the next page begins; `null` on the last.
     next_page_token: Option<String>,
 }
 
-impl From<KeyframeRecord> for Keyframe {
-    fn from(record: KeyframeRecord) -> Self {
+impl Keyframe {
+    pub fn new(record: &KeyframeRecord, units: Units) -> Self {
         Self {
             id: record.id.get(),
             submap_id: record.submap.0,
             sequence: record.sequence,
             timestamp_ns: record.timestamp_ns,
-            world_from_camera: (&record.camera_from_world.inverse()).into(),
+            world_from_camera: units.pose(&record.camera_from_world.inverse()),
             parent: record.parent.map(KeyframeId::get),
             n_keypoints: record.n_keypoints,
             n_points: record.n_points,
+            n_segments: record.n_segments,
+            n_lines: record.n_lines,
             has_image: record.has_image,
         }
     }
@@ -91,9 +100,11 @@ pub(super) async fn list(
         "" => None,
         token => Some(keyframe_id("page_token", token)?),
     };
+    let units = Units::of(&app, &id).await?;
     let page = app.service.store().keyframes(id.as_str(), after, checked_page_size(page.page_size)?).await?;
     Ok(Json(KeyframePage {
-        keyframes: page.keyframes.into_iter().map(Keyframe::from).collect(),
+        scale: units.scale(),
+        keyframes: page.keyframes.iter().map(|record| Keyframe::new(record, units)).collect(),
         next_page_token: page.next.map(|id| id.to_string()),
     }))
 }
@@ -108,7 +119,8 @@ pub(super) async fn get(
     State(app): State<App>,
     Path((id, kf)): Path<(String, String)>,
 ) -> Result<Json<Keyframe>, ApiError> {
-    Ok(Json(find(&app, &id, &kf).await?.1.into()))
+    let (id, record) = find(&app, &id, &kf).await?;
+    Ok(Json(Keyframe::new(&record, Units::of(&app, &id).await?)))
 }
 
 /// A key frame's image, as it was sent; pixels sent raw come as PNG.

@@ -1,17 +1,26 @@
 //! The HTTP skin: decode, call the service, encode.
 
+mod events;
 mod extract;
+mod graph;
 mod keyframes;
 mod landing;
+mod lines;
+mod localize;
+mod map;
 mod model;
+mod place;
 mod points;
+mod primitives;
 mod problem;
 mod sessions;
 mod system;
 mod trajectory;
+mod units;
 
 use crate::service::Service;
 use axum::Router;
+use axum::extract::DefaultBodyLimit;
 use metrics_exporter_prometheus::PrometheusHandle;
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,14 +28,14 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
 use utoipa::OpenApi;
-use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::router::{OpenApiRouter, UtoipaMethodRouterExt};
 use utoipa_axum::routes;
 
 pub use model::{Camera, Pose, Session, SessionPage, State};
 pub use problem::{Problem, Violation};
 pub use trajectory::{Format, TrajectoryWriter};
 
-/// Largest request body: requests are a calibration and a few options.
+/// Largest request body but for images: requests are a calibration and a few options.
 const MAX_BODY_BYTES: usize = 64 << 10;
 
 /// Observations are folded together this often, so that they do not pile up when nobody reads the metrics.
@@ -57,16 +66,25 @@ impl App {
 ))]
 struct Document;
 
-/// Every path of the interface with its document.
-fn api() -> OpenApiRouter<App> {
+/// Every path of the interface with its document. An image may have `max_image_bytes`.
+fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(sessions::list, sessions::create))
-        .routes(routes!(sessions::get, sessions::delete))
+        .routes(routes!(sessions::get, sessions::update, sessions::delete))
+        .routes(routes!(sessions::scale))
+        .routes(routes!(sessions::optimize))
+        .routes(routes!(events::events))
         .routes(routes!(trajectory::trajectory))
         .routes(routes!(keyframes::list))
         .routes(routes!(keyframes::get))
         .routes(routes!(keyframes::image))
         .routes(routes!(points::list))
+        .routes(routes!(lines::list))
+        .routes(routes!(primitives::list))
+        .routes(routes!(primitives::get))
+        .routes(routes!(graph::graph))
+        .routes(routes!(map::map))
+        .routes(routes!(localize::localize).layer(DefaultBodyLimit::max(max_image_bytes)))
         .routes(routes!(system::healthz))
         .routes(routes!(system::readyz))
         .routes(routes!(system::metrics))
@@ -74,7 +92,8 @@ fn api() -> OpenApiRouter<App> {
 
 /// The whole interface, without a socket.
 pub fn router(app: App) -> Router {
-    let (router, document) = api().split_for_parts();
+    let max_image_bytes = app.service.config().limits.max_message_bytes;
+    let (router, document) = api(max_image_bytes).split_for_parts();
     let document = Arc::new(document);
     router
         .route(
@@ -84,14 +103,14 @@ pub fn router(app: App) -> Router {
         .route("/", axum::routing::get(landing::page))
         .fallback(problem::not_found)
         .method_not_allowed_fallback(problem::method_not_allowed)
-        .layer(axum::extract::DefaultBodyLimit::max(MAX_BODY_BYTES))
+        .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
         .layer(CatchPanicLayer::custom(panicked))
         .with_state(app)
 }
 
 /// The OpenAPI document.
 pub fn openapi() -> utoipa::openapi::OpenApi {
-    api().split_for_parts().1
+    api(0).split_for_parts().1
 }
 
 /// Serves HTTP until `closing`, then lets what is under way end.

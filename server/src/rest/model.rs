@@ -95,6 +95,23 @@ pub struct CreateSession {
     pub options: Options,
 }
 
+/// What to change of a session; what is left out stays.
+#[derive(Clone, Debug, Default, Deserialize, ToSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct UpdateSession {
+    /// Options to change. They hold from the session's next stream on.
+    pub options: Options,
+}
+
+/// How long a map unit is.
+#[derive(Clone, Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SetScale {
+    /// Metres per map unit, above 0; `null` frees the scale.
+    #[serde(deserialize_with = "Option::deserialize")]
+    pub metres_per_unit: Option<f64>,
+}
+
 /// How tracking a frame ended.
 #[derive(Clone, Copy, Debug, Serialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
@@ -119,6 +136,13 @@ pub enum Scale {
     Metric,
 }
 
+impl Scale {
+    /// Of a session with so many metres per map unit, if anybody has said so.
+    pub fn of(metres_per_unit: Option<f64>) -> Self {
+        if metres_per_unit.is_some() { Self::Metric } else { Self::UpToScale }
+    }
+}
+
 /// A session.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub struct Session {
@@ -134,18 +158,26 @@ pub struct Session {
     pub state: Option<State>,
     /// What a length of 1 means.
     pub scale: Scale,
+    /// Metres per map unit; `null` while the scale is free.
+    pub metres_per_unit: Option<f64>,
     /// Frames of the trajectory.
     pub n_frames: u64,
     /// Key frames.
     pub n_keyframes: u64,
     /// Points.
     pub n_points: u64,
+    /// Lines.
+    pub n_lines: u64,
+    /// Global primitives.
+    pub n_primitives: u64,
     /// Submaps that have key frames.
     pub n_submaps: u32,
     /// Every frame up to this one is in the database; `null` before the first.
     pub durable_sequence: Option<u64>,
     /// The frame the server expects next.
     pub next_sequence: u64,
+    /// Time of the last frame, nanoseconds: later ones must be after it; `null` before the first.
+    pub last_timestamp_ns: Option<i64>,
     /// Whether the session is in memory.
     pub loaded: bool,
     /// Whether a writer is connected.
@@ -278,13 +310,17 @@ impl From<SessionView> for Session {
             options: view.options.into(),
             created_at_ns: view.created_at_ns,
             state: view.state.map(State::from),
-            scale: if view.metres_per_unit.is_some() { Scale::Metric } else { Scale::UpToScale },
+            scale: Scale::of(view.metres_per_unit),
+            metres_per_unit: view.metres_per_unit,
             n_frames: view.n_frames,
             n_keyframes: view.n_keyframes,
             n_points: view.n_points,
+            n_lines: view.n_lines,
+            n_primitives: view.n_primitives,
             n_submaps: view.n_submaps,
             durable_sequence: view.durable_sequence,
             next_sequence: view.next_sequence,
+            last_timestamp_ns: view.last_timestamp_ns,
             loaded: view.loaded,
             has_writer: view.has_writer,
         }

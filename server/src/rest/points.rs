@@ -1,6 +1,9 @@
 //! Points, by place.
 
-use super::extract::{Params, numbers};
+use super::extract::Params;
+use super::model::Scale;
+use super::place::parse_place;
+use super::units::Units;
 use super::{App, Problem};
 use crate::error::ApiError;
 use crate::service::checked_page_size;
@@ -9,7 +12,7 @@ use axum::Json;
 use axum::extract::{Path, State};
 use serde::{Deserialize, Serialize};
 use slam::map::{PointId, PointLandmark, SubmapId};
-use store::{Bounds, PointQuery};
+use store::PointQuery;
 use utoipa::{IntoParams, ToSchema};
 
 /// A point of the map.
@@ -19,7 +22,7 @@ pub(super) struct Point {
     id: u64,
     /// The submap whose frame of reference the position is in.
     submap_id: u32,
-    /// Position, map units.
+    /// Position.
     position: [f64; 3],
     /// Key frames that see it.
     n_observations: u32,
@@ -28,17 +31,22 @@ pub(super) struct Point {
 /// Some points in the order of their ids.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(super) struct PointPage {
+    /// What a length of 1 means.
+    scale: Scale,
     /// The points.
     points: Vec<Point>,
     /// Where the next page begins; `null` on the last.
     next_page_token: Option<String>,
 }
 
-impl From<PointLandmark> for Point {
-    fn from(point: PointLandmark) -> Self {
-        let PointLandmark { id, submap, position, observations, .. } = point;
-        let position = [position.x, position.y, position.z];
-        Self { id: id.get(), submap_id: submap.0, position, n_observations: observations.len() as u32 }
+impl Point {
+    pub fn new(point: &PointLandmark, units: Units) -> Self {
+        Self {
+            id: point.id.get(),
+            submap_id: point.submap.0,
+            position: units.position(&point.position),
+            n_observations: point.observations.len() as u32,
+        }
     }
 }
 
@@ -53,7 +61,7 @@ pub(super) struct Conditions {
     /// Points around this place, `x,y,z`; needs `radius`.
     #[param(value_type = Option<String>)]
     near: Option<String>,
-    /// How far from `near`, map units.
+    /// How far from `near`.
     radius: Option<f64>,
     /// Points seen by at least so many key frames.
     min_observations: u32,
@@ -66,31 +74,11 @@ pub(super) struct Conditions {
 }
 
 impl Conditions {
-    fn query(&self) -> Result<PointQuery, ApiError> {
-        let bounds = self.bbox.as_deref().map(parse_bounds).transpose()?;
-        let near = match (self.near.as_deref(), self.radius) {
-            (None, None) => None,
-            (Some(near), Some(radius)) => {
-                if !(radius.is_finite() && radius >= 0.0) {
-                    return Err(ApiError::invalid("radius", "must be a finite number, 0 or more"));
-                }
-                Some((numbers::<3>("near", near, "x,y,z")?.into(), radius))
-            }
-            (Some(_), None) => return Err(ApiError::invalid("radius", "is needed with `near`")),
-            (None, Some(_)) => return Err(ApiError::invalid("near", "is needed with `radius`")),
-        };
+    fn query(&self, units: Units) -> Result<PointQuery, ApiError> {
+        let (bounds, near) = parse_place(self.bbox.as_deref(), self.near.as_deref(), self.radius, units)?;
         let submap = self.submap_id.map(SubmapId);
         Ok(PointQuery { bounds, near, min_observations: self.min_observations, submap })
     }
-}
-
-fn parse_bounds(text: &str) -> Result<Bounds, ApiError> {
-    let form = "x_min,y_min,z_min,x_max,y_max,z_max";
-    let [x_min, y_min, z_min, x_max, y_max, z_max] = numbers::<6>("bbox", text, form)?;
-    if x_min > x_max || y_min > y_max || z_min > z_max {
-        return Err(ApiError::invalid("bbox", "each minimum must be at most its maximum"));
-    }
-    Ok(Bounds { min: [x_min, y_min, z_min].into(), max: [x_max, y_max, z_max].into() })
 }
 
 /// Points in the order of their ids.
@@ -111,9 +99,12 @@ pub(super) async fn list(
         token => Some(parse_token(token)?),
     };
     let page_size = checked_page_size(conditions.page_size)?;
-    let page = app.service.store().points_page(id.as_str(), &conditions.query()?, after, page_size).await?;
+    let units = Units::of(&app, &id).await?;
+    let page =
+        app.service.store().points_page(id.as_str(), &conditions.query(units)?, after, page_size).await?;
     Ok(Json(PointPage {
-        points: page.points.into_iter().map(Point::from).collect(),
+        scale: units.scale(),
+        points: page.points.iter().map(|point| Point::new(point, units)).collect(),
         next_page_token: page.next.map(|id| id.to_string()),
     }))
 }

@@ -1,7 +1,7 @@
 //! Sessions.
 
 use super::extract::{Body, Params};
-use super::model::{CreateSession, Session, SessionPage};
+use super::model::{CreateSession, Session, SessionPage, SetScale, UpdateSession};
 use super::{App, Problem};
 use crate::error::ApiError;
 use crate::session::SessionId;
@@ -60,6 +60,50 @@ pub(super) async fn create(
 ))]
 pub(super) async fn get(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Session>, ApiError> {
     Ok(Json(app.service.get_session(&SessionId::parse(&id, "id")?).await?.into()))
+}
+
+/// Changes a session's options.
+#[utoipa::path(patch, path = "/v1/sessions/{id}", tag = "sessions", params(("id", description = "The session's id")),
+    request_body = UpdateSession, responses(
+    (status = 200, description = "The session", body = Session),
+    (status = 400, description = "A field is wrong", body = Problem, content_type = "application/problem+json"),
+    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
+    (status = 409, description = "A writer is connected", body = Problem, content_type = "application/problem+json")
+))]
+pub(super) async fn update(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    Body(request): Body<UpdateSession>,
+) -> Result<Json<Session>, ApiError> {
+    let id = SessionId::parse(&id, "id")?;
+    Ok(Json(app.service.update_session(&id, request.options.into()).await?.into()))
+}
+
+/// Says how many metres a map unit is. Every length of later answers is in metres then.
+#[utoipa::path(post, path = "/v1/sessions/{id}/scale", tag = "maps", params(("id", description = "The session's id")),
+    request_body = SetScale, responses(
+    (status = 200, description = "The session", body = Session),
+    (status = 400, description = "The number is wrong", body = Problem, content_type = "application/problem+json"),
+    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json")
+))]
+pub(super) async fn scale(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    Body(request): Body<SetScale>,
+) -> Result<Json<Session>, ApiError> {
+    let id = SessionId::parse(&id, "id")?;
+    Ok(Json(app.service.set_scale(&id, request.metres_per_unit).await?.into()))
+}
+
+/// Adjusts the whole map. Not in this version.
+#[utoipa::path(post, path = "/v1/sessions/{id}/optimize", tag = "maps",
+    params(("id", description = "The session's id")), responses(
+    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
+    (status = 501, description = "Not in this version", body = Problem, content_type = "application/problem+json")
+))]
+pub(super) async fn optimize(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
+    app.service.optimise(&SessionId::parse(&id, "id")?).await?;
+    Ok(StatusCode::NO_CONTENT)
 }
 
 /// Deletes a session with its map.

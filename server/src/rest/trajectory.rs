@@ -79,7 +79,7 @@ pub(super) async fn trajectory(
 ) -> Result<impl IntoResponse, ApiError> {
     let id = SessionId::parse(&id, "id")?;
     let session = app.service.get_session(&id).await?;
-    let scale = if session.metres_per_unit.is_some() { Scale::Metric } else { Scale::UpToScale };
+    let scale = Scale::of(session.metres_per_unit);
     let kind = match wanted.kind {
         Kind::Frames => TrajectoryKind::Frames,
         Kind::Keyframes => TrajectoryKind::Keyframes,

@@ -5,6 +5,7 @@ use super::queue::{FrameQueue, Queued};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::SyncSender;
 use std::time::Instant;
+use vision::GrayImage;
 use vision::decode::{DecodeError, DecodeLimits, decode_gray};
 
 /// What tracking takes, in the order of arrival.
@@ -41,21 +42,44 @@ pub fn run(queue: &FrameQueue, limits: &DecodeLimits, decoded: &SyncSender<Decod
 
 fn decode(frame: SentFrame, limits: &DecodeLimits) -> Decoded {
     let SentFrame { sequence, timestamp_ns, image: sent, arrived } = frame;
-    // The decoders promise not to panic; a file that breaks the promise costs its own frame, not the session.
-    let outcome = catch_unwind(AssertUnwindSafe(|| decode_gray(&sent.as_encoded(), limits)));
-    match outcome {
-        Ok(Ok(image)) => {
+    match decode_image(&sent, limits) {
+        Ok(image) => {
             let frame = slam::Frame { sequence, timestamp_ns, image };
             Decoded::Frame { frame, sent, arrived }
         }
+        Err(ImageRefusal { field, reason, code }) => {
+            Decoded::Rejected(Rejection { sequence, field, reason, code })
+        }
+    }
+}
+
+/// Why an image cannot be decoded.
+#[derive(Debug)]
+pub struct ImageRefusal {
+    /// Which part of the message is wrong.
+    pub field: &'static str,
+    /// What is wrong with it, in a plain sentence.
+    pub reason: String,
+    /// Stable name of the kind of error.
+    pub code: &'static str,
+}
+
+/// The grey image that was sent.
+///
+/// # Errors
+/// If it cannot be decoded or is larger than is accepted.
+pub fn decode_image(sent: &SentImage, limits: &DecodeLimits) -> Result<GrayImage, ImageRefusal> {
+    // The decoders promise not to panic; a file that breaks the promise costs its own frame, not the session.
+    match catch_unwind(AssertUnwindSafe(|| decode_gray(&sent.as_encoded(), limits))) {
+        Ok(Ok(image)) => Ok(image),
         Ok(Err(error)) => {
             let (field, code) = blame(&error);
-            Decoded::Rejected(Rejection { sequence, field, reason: error.to_string(), code })
+            Err(ImageRefusal { field, reason: error.to_string(), code })
         }
         Err(_panic) => {
-            tracing::error!(frame.sequence = sequence, "the decoder panicked on frame {sequence}");
+            tracing::error!("the decoder panicked on an image");
             let reason = "the image cannot be decoded".to_owned();
-            Decoded::Rejected(Rejection { sequence, field: "image.data", reason, code: "DECODER_FAILED" })
+            Err(ImageRefusal { field: "image.data", reason, code: "DECODER_FAILED" })
         }
     }
 }

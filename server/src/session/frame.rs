@@ -87,6 +87,8 @@ pub struct Answer {
     pub durable_sequence: Option<u64>,
     /// Nanoseconds between the frame's arrival and its tracking.
     pub queued_ns: u64,
+    /// Metres per map unit; `None` while the scale is free.
+    pub metres_per_unit: Option<f64>,
 }
 
 /// What came of a frame when it was tracked.
@@ -115,6 +117,8 @@ pub enum Reply {
         before: Option<Before>,
         /// Every frame up to this one is in the database.
         durable_sequence: Option<u64>,
+        /// Metres per map unit; `None` while the scale is free.
+        metres_per_unit: Option<f64>,
     },
     /// A newer frame came before this one's turn.
     Dropped(u64),

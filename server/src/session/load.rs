@@ -8,7 +8,7 @@ use crate::error::{ApiError, ErrorCode};
 use crate::options::engine_config;
 use geometry::Camera;
 use slam::map::{FrameState, KeyframeId};
-use slam::{MapUpdate, Pipeline, ResumeState, SlamConfig};
+use slam::{MapUpdate, Pipeline, ResumeState, SlamConfig, Threading};
 use std::sync::{Arc, Mutex, PoisonError};
 use store::{KeyframeImage, LoadedSession, SessionStatus, Store, StoredFrame};
 
@@ -26,15 +26,17 @@ pub struct StoredSession {
     pub deterministic: bool,
     /// How tracking the last stored frame ended.
     pub last_state: FrameState,
+    /// Metres per map unit; `None` while the scale is free.
+    pub metres_per_unit: Option<f64>,
     config: SlamConfig,
     camera: Camera,
     state: ResumeState,
 }
 
 impl StoredSession {
-    /// Number of the last stored frame.
-    pub fn last_sequence(&self) -> Option<u64> {
-        self.state.last_frame.map(|(sequence, _)| sequence)
+    /// Number and time of the last stored frame.
+    pub fn last_frame(&self) -> Option<(u64, i64)> {
+        self.state.last_frame
     }
 }
 
@@ -61,7 +63,8 @@ pub async fn read(context: &LoadContext<'_>) -> Result<StoredSession, ApiError> 
         context.store.load_session(context.id.as_str(), &config).await?;
     let camera = record.checked_camera()?;
     let (deterministic, last_state) = (record.options.deterministic == Some(true), record.state);
-    Ok(StoredSession { deterministic, last_state, config, camera, state })
+    let metres_per_unit = record.metres_per_unit;
+    Ok(StoredSession { deterministic, last_state, metres_per_unit, config, camera, state })
 }
 
 /// Makes the engine; takes as long as the map is large, so not on a runtime's thread.
@@ -74,6 +77,18 @@ pub fn resume(stored: StoredSession) -> Result<Pipeline, ApiError> {
         tracing::error!(error = %error, "a stored session cannot be taken up: {error}");
         ApiError::new(ErrorCode::DataLoss, "the stored map cannot be taken up; the server's log says why")
     })
+}
+
+/// Makes an engine that locates one image, whatever its time and number, and changes nothing; as [`resume`].
+///
+/// # Errors
+/// If the stored map is inconsistent.
+pub fn resume_to_locate(mut stored: StoredSession) -> Result<Pipeline, ApiError> {
+    stored.config.threading = Threading::Inline;
+    stored.state.last_frame = None;
+    let mut pipeline = resume(stored)?;
+    pipeline.set_mapping(false);
+    Ok(pipeline)
 }
 
 /// The stored frames of one session.

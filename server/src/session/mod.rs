@@ -1,19 +1,24 @@
 //! Sessions in memory: who owns them, how frames come in and answers and map updates go out.
 
 mod decoder;
+mod events;
 mod frame;
 mod id;
 mod images;
 mod load;
+mod localise;
 mod queue;
 mod recent;
 mod registry;
 mod worker;
 mod writer;
 
+pub use events::{MapChange, SessionEvent};
 pub use frame::{Answer, Before, Encoding, Rejection, Reply, SentFrame, SentImage};
 pub use id::SessionId;
 pub use images::ImageFile;
+pub use load::LoadContext;
+pub use localise::{Located, localise};
 pub use queue::{Closed, Ending, FrameQueue, Policy, Queued};
 pub use registry::{LoadedView, OpenRequest, Registry};
 pub use worker::{Live, Mode, Replies};

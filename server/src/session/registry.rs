@@ -1,5 +1,6 @@
 //! The sessions that are in memory, and who writes into them.
 
+use super::events::{Events, SessionEvent};
 use super::load::{self, LoadContext};
 use super::queue::{FrameQueue, Policy};
 use super::worker::{self, Live, Mode, Replies, Stream, WorkerParts};
@@ -11,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use store::Store;
 use tokio::runtime::Handle;
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{broadcast, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 /// What a client asks of a stream.
@@ -33,6 +34,8 @@ pub struct Registry {
     store: Store,
     slots: Mutex<BTreeMap<SessionId, Arc<Slot>>>,
     closing: AtomicBool,
+    /// Ends what watches sessions.
+    closed: CancellationToken,
 }
 
 /// One session's place.
@@ -41,6 +44,8 @@ struct Slot {
     /// Held while a stream is opened or the session deleted: one at a time.
     opening: tokio::sync::Mutex<()>,
     loaded: Mutex<Option<Arc<Loaded>>>,
+    /// Outlives the session's stays in memory, so that its watchers do too.
+    events: Events,
 }
 
 /// A session in memory.
@@ -51,6 +56,7 @@ struct Loaded {
     /// Cancelled when the worker is gone and the writer has saved what it could.
     ended: CancellationToken,
     writer: Mutex<Option<Writer>>,
+    scale: watch::Sender<Option<f64>>,
 }
 
 /// The stream that is being served.
@@ -73,7 +79,13 @@ pub struct LoadedView {
 impl Registry {
     /// A registry without sessions.
     pub fn new(config: Arc<Config>, store: Store) -> Self {
-        Self { config, store, slots: Mutex::default(), closing: AtomicBool::new(false) }
+        Self {
+            config,
+            store,
+            slots: Mutex::default(),
+            closing: AtomicBool::new(false),
+            closed: CancellationToken::new(),
+        }
     }
 
     /// Gives a client the session to write into, loading it if it is not in memory. Answers go to `replies`.
@@ -152,23 +164,65 @@ impl Registry {
     ) -> Result<(), ApiError> {
         let slot = self.slot(id);
         let _opening = slot.opening.lock().await;
-        if let Some(loaded) = slot.present() {
-            if loaded.writer().is_some() {
-                let sentence =
-                    format!("a client streams into session {id}; end its stream before deleting the session");
-                return Err(ApiError::new(ErrorCode::WriterConnected, sentence));
-            }
-            loaded.unload.cancel();
-            loaded.ended.cancelled().await;
-        }
+        slot.unload(id, "deleting the session").await?;
         delete.await?;
         lock(&self.slots).remove(id);
         Ok(())
     }
 
+    /// Takes a session out of memory and runs `change` while nobody can load it, so that its next stream runs with
+    /// what was changed.
+    ///
+    /// # Errors
+    /// If a writer is connected, or what `change` says.
+    pub async fn change<T>(
+        &self,
+        id: &SessionId,
+        change: impl Future<Output = Result<T, ApiError>>,
+    ) -> Result<T, ApiError> {
+        let slot = self.slot(id);
+        let _opening = slot.opening.lock().await;
+        slot.unload(id, "changing its options").await?;
+        let changed = change.await?;
+        slot.events.settings();
+        Ok(changed)
+    }
+
+    /// Runs `store`, which stores a new scale, and tells the session if it is in memory.
+    ///
+    /// # Errors
+    /// What `store` says.
+    pub async fn set_scale<T>(
+        &self,
+        id: &SessionId,
+        metres_per_unit: Option<f64>,
+        store: impl Future<Output = Result<T, ApiError>>,
+    ) -> Result<T, ApiError> {
+        let slot = self.slot(id);
+        // Whoever loads the session meanwhile would read the old scale.
+        let _opening = slot.opening.lock().await;
+        let stored = store.await?;
+        if let Some(loaded) = slot.present() {
+            loaded.scale.send_replace(metres_per_unit);
+        }
+        slot.events.settings();
+        Ok(stored)
+    }
+
+    /// What happens in a session from now on; ends when the session is deleted.
+    pub fn events(&self, id: &SessionId) -> broadcast::Receiver<SessionEvent> {
+        self.slot(id).events.watch()
+    }
+
+    /// Ends when the server shuts down.
+    pub fn closed(&self) -> CancellationToken {
+        self.closed.clone()
+    }
+
     /// Takes no new streams, ends the present ones, and waits until every session is saved and gone.
     pub async fn shut_down(&self) {
         self.closing.store(true, Ordering::SeqCst);
+        self.closed.cancel();
         let all = self.all_loaded();
         all.iter().for_each(|loaded| loaded.end());
         for loaded in all {
@@ -207,7 +261,7 @@ impl Registry {
             return Ok(loaded);
         }
         self.make_room().await?;
-        let loaded = Arc::new(self.start(id).await?);
+        let loaded = Arc::new(self.start(id, slot.events.clone()).await?);
         *lock(&slot.loaded) = Some(loaded.clone());
         Ok(loaded)
     }
@@ -229,16 +283,18 @@ impl Registry {
         Ok(())
     }
 
-    async fn start(&self, id: &SessionId) -> Result<Loaded, ApiError> {
+    async fn start(&self, id: &SessionId, events: Events) -> Result<Loaded, ApiError> {
         let context = LoadContext { store: &self.store, id };
         let stored = load::read(&context).await?;
         let one_by_one = stored.deterministic;
-        let (last_sequence, retry) = (stored.last_sequence(), self.config.sessions.save_retry());
+        let (last_frame, retry) = (stored.last_frame(), self.config.sessions.save_retry());
+        let last_sequence = last_frame.map(|(sequence, _)| sequence);
         let (outbox, saving) =
             writer::start(context.sink(stored.last_state), last_sequence, one_by_one, retry);
         let history = context.history();
         let (streams_sender, streams) = mpsc::channel(1);
         let (live_sender, live) = watch::channel(Live::default());
+        let (scale_sender, scale) = watch::channel(stored.metres_per_unit);
         let (unload, ended) = (CancellationToken::new(), CancellationToken::new());
         let (ready_sender, ready) = oneshot::channel();
 
@@ -262,13 +318,15 @@ impl Registry {
                 pipeline,
                 outbox,
                 history,
-                last_sequence,
+                last_frame,
                 decode_limits: config.decode_limits(),
                 keep_images: config.sessions.keep_keyframe_images,
                 idle_unload: config.sessions.idle_unload(),
                 streams,
                 unload: unload_worker,
                 live: live_sender,
+                scale,
+                events,
             };
             worker::run(parts, &runtime);
             if let Err(error) = runtime.block_on(saving) {
@@ -277,7 +335,14 @@ impl Registry {
         };
         thread.spawn(run).map_err(ApiError::internal)?;
         ready.await.map_err(ApiError::internal)??;
-        Ok(Loaded { streams: streams_sender, live, unload, ended, writer: Mutex::default() })
+        Ok(Loaded {
+            streams: streams_sender,
+            live,
+            unload,
+            ended,
+            writer: Mutex::default(),
+            scale: scale_sender,
+        })
     }
 }
 
@@ -289,6 +354,18 @@ impl Slot {
             *loaded = None;
         }
         loaded.clone()
+    }
+
+    /// Waits until the session is out of memory; `purpose` says what for. The caller holds `opening`.
+    async fn unload(&self, id: &SessionId, purpose: &str) -> Result<(), ApiError> {
+        let Some(loaded) = self.present() else { return Ok(()) };
+        if loaded.writer().is_some() {
+            let sentence = format!("a client streams into session {id}; end its stream before {purpose}");
+            return Err(ApiError::new(ErrorCode::WriterConnected, sentence));
+        }
+        loaded.unload.cancel();
+        loaded.ended.cancelled().await;
+        Ok(())
     }
 }
 

@@ -5,6 +5,7 @@
 //! a stream everything is flushed before the client sees the end.
 
 use super::decoder::{self, Decoded};
+use super::events::Events;
 use super::frame::{Answer, Before, Rejection, Reply, SentImage};
 use super::images::CandidateImages;
 use super::load::History;
@@ -62,14 +63,18 @@ pub struct Stream {
 pub struct Live {
     /// How tracking the last frame ended, if there was one since the session was loaded.
     pub state: Option<FrameState>,
-    /// Number of the last frame, if there ever was one.
-    pub last_sequence: Option<u64>,
+    /// Number and time of the last frame, nanoseconds, if there ever was one.
+    pub last_frame: Option<(u64, i64)>,
     /// Frames tracked since the session was loaded.
     pub n_frames: u64,
     /// Key frames in the map.
     pub n_keyframes: usize,
     /// Points in the map.
     pub n_points: usize,
+    /// Lines in the map.
+    pub n_lines: usize,
+    /// Global primitives in the map.
+    pub n_primitives: usize,
 }
 
 /// What a worker is started with.
@@ -82,8 +87,8 @@ pub struct WorkerParts {
     pub outbox: Outbox,
     /// What is stored of earlier frames.
     pub history: History,
-    /// Number of the last stored frame.
-    pub last_sequence: Option<u64>,
+    /// Number and time of the last stored frame.
+    pub last_frame: Option<(u64, i64)>,
     /// What images are accepted.
     pub decode_limits: DecodeLimits,
     /// Keep the images of key frames.
@@ -96,6 +101,10 @@ pub struct WorkerParts {
     pub unload: CancellationToken,
     /// The registry's view of the session.
     pub live: watch::Sender<Live>,
+    /// Metres per map unit; `None` while the scale is free.
+    pub scale: watch::Receiver<Option<f64>>,
+    /// Who watches the session.
+    pub events: Events,
 }
 
 /// Runs a session until it is idle, told to end, or fails. Call on a thread of its own, with a runtime at hand.
@@ -105,10 +114,12 @@ pub fn run(parts: WorkerParts, runtime: &Handle) {
         pipeline: parts.pipeline,
         outbox,
         history: parts.history,
-        last_sequence: parts.last_sequence,
+        last_frame: parts.last_frame,
         decode_limits: parts.decode_limits,
         keep_images: parts.keep_images,
         live: parts.live,
+        scale: parts.scale,
+        events: parts.events,
         recent: RecentAnswers::default(),
         images: CandidateImages::default(),
         n_frames: 0,
@@ -177,10 +188,12 @@ struct Worker {
     pipeline: Pipeline,
     outbox: Outbox,
     history: History,
-    last_sequence: Option<u64>,
+    last_frame: Option<(u64, i64)>,
     decode_limits: DecodeLimits,
     keep_images: bool,
     live: watch::Sender<Live>,
+    scale: watch::Receiver<Option<f64>>,
+    events: Events,
     recent: RecentAnswers,
     images: CandidateImages,
     n_frames: u64,
@@ -246,7 +259,7 @@ impl Worker {
 
     fn track(&mut self, frame: slam::Frame, sent: SentImage, arrived: Instant) -> Reply {
         let (sequence, timestamp_ns) = (frame.sequence, frame.timestamp_ns);
-        if self.last_sequence.is_some_and(|last| sequence <= last) {
+        if self.last_frame.is_some_and(|(last, _)| sequence <= last) {
             return self.repeat(sequence, timestamp_ns);
         }
         let queued_ns = arrived.elapsed().as_nanos() as u64;
@@ -254,7 +267,7 @@ impl Worker {
             Ok(report) => report,
             Err(error) => return rejected(decoder::rejection_of(&error, sequence)),
         };
-        self.last_sequence = Some(sequence);
+        self.last_frame = Some((sequence, timestamp_ns));
         self.n_frames += 1;
         let state = report.outcome.state();
         if self.keep_images {
@@ -262,10 +275,12 @@ impl Worker {
         }
         self.hand_over_updates(Pipeline::take_updates);
         self.publish(Some(state));
+        let metres_per_unit = *self.scale.borrow();
+        self.events.frame(&report, metres_per_unit);
         record_frame(&report, queued_ns);
         self.recent.remember(report.clone());
         let durable_sequence = self.outbox.durable_sequence();
-        Reply::Answered(Box::new(Answer { report, durable_sequence, queued_ns }))
+        Reply::Answered(Box::new(Answer { report, durable_sequence, queued_ns, metres_per_unit }))
     }
 
     /// The answer to a frame that was answered before.
@@ -274,7 +289,8 @@ impl Worker {
             Some(report) => Some(Before::Recent(Box::new(report.clone()))),
             None => self.runtime.block_on(self.history.frame(sequence)).map(Before::Stored),
         };
-        Reply::Repeated { sequence, timestamp_ns, before, durable_sequence: self.outbox.durable_sequence() }
+        let (durable_sequence, metres_per_unit) = (self.outbox.durable_sequence(), *self.scale.borrow());
+        Reply::Repeated { sequence, timestamp_ns, before, durable_sequence, metres_per_unit }
     }
 
     /// Finishes what mapping has begun and waits until everything is saved.
@@ -287,6 +303,7 @@ impl Worker {
 
     fn hand_over_updates(&mut self, take: impl FnOnce(&mut Pipeline) -> Vec<slam::MapUpdate>) {
         for update in take(&mut self.pipeline) {
+            self.events.map(&update);
             let images = self.images.take_for(&update);
             self.outbox.push(update, images);
         }
@@ -296,10 +313,12 @@ impl Worker {
         let map = self.pipeline.map();
         let live = Live {
             state,
-            last_sequence: self.last_sequence,
+            last_frame: self.last_frame,
             n_frames: self.n_frames,
             n_keyframes: map.n_keyframes(),
             n_points: map.n_points(),
+            n_lines: map.n_lines(),
+            n_primitives: map.n_primitives(),
         };
         self.live.send_replace(live);
     }
@@ -427,13 +446,15 @@ mod tests {
             id,
             pipeline,
             outbox,
-            last_sequence: None,
+            last_frame: None,
             decode_limits: DecodeLimits::default(),
             keep_images: true,
             idle_unload: Duration::from_secs(60),
             streams: receiver,
             unload: CancellationToken::new(),
             live: watch::channel(Live::default()).0,
+            scale: watch::channel(None).1,
+            events: Events::default(),
         };
         let runtime = Handle::current();
         let worker = std::thread::spawn(move || run(parts, &runtime));

@@ -72,7 +72,7 @@ impl Adjustment {
                     continue;
                 };
                 let segment = &keyframe.features.lines[seen.feature_idx as usize];
-                line_factors.push(((*pose, variable), anchored.factor(&keyframe.features, segment)));
+                line_factors.push(((*pose, variable), anchored.factor(keyframe.features.pinhole, segment)));
                 line_sightings.push((line.id, seen.keyframe));
             }
         }

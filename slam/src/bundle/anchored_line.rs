@@ -1,10 +1,10 @@
 //! Lines as the optimiser holds them.
 
 use super::factors::LineReprojectionFactor;
-use crate::features::{FrameFeatures, LineFeature};
+use crate::features::LineFeature;
 use crate::map::{LineLandmark, LinePlace};
 use geometry::nalgebra::Vector3;
-use geometry::{Direction, Line3, OrthonormalLine, Pose};
+use geometry::{Direction, Line3, OrthonormalLine, Pinhole, Pose};
 
 /// A line in its four parameters about a point near it, where they are well conditioned [ALGORITHMS 5.3].
 #[derive(Clone, Copy, Debug)]
@@ -35,9 +35,9 @@ impl AnchoredLine {
     }
 
     /// The term that a segment contributes.
-    pub fn factor(&self, features: &FrameFeatures, segment: &LineFeature) -> LineReprojectionFactor {
+    pub fn factor(&self, pinhole: Pinhole, segment: &LineFeature) -> LineReprojectionFactor {
         LineReprojectionFactor {
-            pinhole: features.pinhole,
+            pinhole,
             start_px: segment.start,
             end_px: segment.end,
             inverse_sigma: 1.0 / segment.sigma_px,

@@ -1,6 +1,7 @@
 //! Local bundle adjustment around a new key frame. [ALGORITHMS 8.3]
 
 use super::adjustment::{Adjustment, Scope};
+use super::stage_two::StageTwo;
 use crate::config::{MappingConfig, SlamConfig};
 use crate::map::{Keyframe, KeyframeId, LineId, Map, PointId};
 use std::collections::{BTreeMap, BTreeSet};
@@ -21,8 +22,9 @@ pub(crate) fn optimise(map: &mut Map, centre: KeyframeId, config: &SlamConfig, a
         adjustment.judge_sightings();
         adjustment.solve(n_second, aborted);
     }
-    if !aborted() && config.features.global_primitives {
-        adjustment.add_primitives(map, &config.primitives, centre);
+    let wants_primitives = !aborted() && config.features.global_primitives;
+    if wants_primitives && adjustment.add_primitives(map, &config.primitives, centre) == StageTwo::Refused {
+        tracing::info!(keyframe = %centre, "primitives would turn the key frame too far: left out");
     }
     adjustment.write_back(map);
 }

@@ -3,6 +3,8 @@
 pub(crate) mod adjustment;
 pub(crate) mod anchored_line;
 pub mod factors;
+#[cfg(test)]
+mod gauge_tests;
 pub(crate) mod global;
 pub(crate) mod local;
 pub(crate) mod stage_two;

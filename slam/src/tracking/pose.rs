@@ -33,7 +33,7 @@ pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map) -> Inliers {
             *slot = None;
             continue;
         };
-        let factor = line.factor(&frame.features, &frame.features.lines[feature_idx]);
+        let factor = line.factor(frame.features.pinhole, &frame.features.lines[feature_idx]);
         lines.push(LineSighting { factor, second: line.line });
         line_slots.push(feature_idx);
     }

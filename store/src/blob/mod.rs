@@ -3,9 +3,13 @@
 mod features;
 mod observations;
 mod reader;
+mod vanishing;
 
-pub(crate) use features::{FeatureSettings, check_features, decode_features, encode_features};
+pub(crate) use features::{
+    FeatureSettings, MeasuredCounts, check_features, decode_features, encode_features, positions,
+};
 pub(crate) use observations::{decode_observations, encode_observations};
+pub(crate) use vanishing::{decode_covariance, decode_vanishing, encode_covariance, encode_vanishing};
 
 use vision::Descriptor;
 

@@ -1,7 +1,8 @@
-//! Who sees a point.
+//! Who sees a landmark.
 //!
 //! Version 1: `u8` version, then for each sighting in the order of the key frames' ids two LEB128 numbers, the key
-//! frame's id less the one before (from 0) and the index of the keypoint. Some three bytes a sighting.
+//! frame's id less the one before (from 0) and the index of the feature:
+//! a keypoint for points, a segment for lines, a vanishing point for primitives. Some three bytes a sighting.
 
 use super::BlobError;
 use super::reader::{Reader, push_varint};
@@ -37,7 +38,7 @@ pub(crate) fn decode_observations(bytes: &[u8]) -> Result<Vec<Observation>, Blob
         let id = previous.checked_add(step).filter(|_| step > 0).and_then(KeyframeId::new);
         let keyframe = id.ok_or_else(|| BlobError("observations are out of order".into()))?;
         let feature_idx = u32::try_from(reader.varint()?)
-            .map_err(|_| BlobError("a keypoint's index is too large".into()))?;
+            .map_err(|_| BlobError("the index of a feature is too large".into()))?;
         observations.push(Observation { keyframe, feature_idx });
         previous = keyframe.get();
     }

@@ -30,6 +30,10 @@ impl<'a> Reader<'a> {
         self.array().map(u32::from_le_bytes)
     }
 
+    pub fn u64(&mut self) -> Result<u64, BlobError> {
+        self.array().map(u64::from_le_bytes)
+    }
+
     pub fn f64(&mut self) -> Result<f64, BlobError> {
         self.array().map(f64::from_le_bytes)
     }

@@ -1,7 +1,10 @@
 //! Whether everything stored makes sense.
 
+mod lines;
 mod points;
 mod poses;
+mod primitives;
+mod taken;
 
 use crate::{Store, StoreError};
 use slam::map::KeyframeId;
@@ -77,7 +80,7 @@ impl Store {
     ///
     /// Checks the file (`integrity_check`, `foreign_key_check`, the R*Tree) and the maps: sessions' cameras and
     /// counts, poses that are finite with unit quaternions, features that can be read, observations of key frames and
-    /// keypoints that exist, removed key frames that hang on something, time that rises with the frames' numbers.
+    /// features that exist, removed key frames that hang on something, time that rises with the frames' numbers.
     ///
     /// # Errors
     /// If the database cannot be read at all.
@@ -112,16 +115,18 @@ async fn check_file(
         let (table, parent): (String, String) = (row.try_get(0)?, row.try_get(2)?);
         found.add(format!("a row of {table} refers to one of {parent} that is not there"));
     }
-    let tree: String = sqlx::query_scalar("SELECT rtreecheck('point_cells')").fetch_one(connection).await?;
-    if tree != "ok" {
-        found.add(tree);
+    for statement in ["SELECT rtreecheck('point_cells')", "SELECT rtreecheck('line_cells')"] {
+        let tree: String = sqlx::query_scalar(statement).fetch_one(&mut *connection).await?;
+        if tree != "ok" {
+            found.add(tree);
+        }
     }
     found.finish(problems);
     Ok(())
 }
 
-/// How many keypoints each key frame has, for whom observations are checked against.
-type KeypointCounts = BTreeMap<KeyframeId, usize>;
+/// How many keypoints, segments and vanishing points each key frame has, which observations are checked against.
+type Measured = BTreeMap<KeyframeId, [usize; 3]>;
 
 async fn check_session(
     connection: &mut SqliteConnection,
@@ -133,17 +138,21 @@ async fn check_session(
         .fetch_one(&mut *connection)
         .await?;
     let record = problems.note(crate::session::parse_session(&row))?;
-    let keypoints = poses::check_keyframes(connection, session, problems).await?;
+    let measured = poses::check_keyframes(connection, session, problems).await?;
     poses::check_removed(connection, session, problems).await?;
-    let n_points = points::check_points(connection, session, &keypoints, problems).await?;
+    let n_points = points::check_points(connection, session, &measured, problems).await?;
+    let primitives = primitives::check_primitives(connection, session, &measured, problems).await?;
+    let n_lines = lines::check_lines(connection, session, &measured, &primitives, problems).await?;
     let (n_frames, last_frame) = poses::check_frames(connection, session, problems).await?;
 
     let Some((_, record)) = record else { return Ok(()) };
     problems.note(record.checked_camera())?;
     let counts = [
         ("frames", record.counts.n_frames, n_frames),
-        ("key frames", record.counts.n_keyframes, keypoints.len() as u64),
+        ("key frames", record.counts.n_keyframes, measured.len() as u64),
         ("points", record.counts.n_points, n_points),
+        ("lines", record.counts.n_lines, n_lines),
+        ("primitives", record.counts.n_primitives, primitives.len() as u64),
     ];
     for (what, claimed, counted) in counts.into_iter().filter(|(_, claimed, counted)| claimed != counted) {
         problems.add(format!("it claims {claimed} {what} but has {counted}"));

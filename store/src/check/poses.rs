@@ -1,8 +1,8 @@
 //! Checks of key frames, removed key frames and frames.
 
-use super::{KeypointCounts, Problems};
+use super::{Measured, Problems};
 use crate::StoreError;
-use crate::blob::check_features;
+use crate::blob::{MeasuredCounts, check_features, decode_vanishing};
 use crate::number::{from_column, keyframe_id};
 use crate::pose::{PoseBook, read_pose};
 use crate::session::parse_state;
@@ -10,16 +10,17 @@ use futures_util::TryStreamExt;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 
-/// Checks key frames and their features; how many keypoints each has.
+/// Checks key frames and their features; how much was measured in each.
 pub(super) async fn check_keyframes(
     connection: &mut SqliteConnection,
     session: i64,
     problems: &mut Problems,
-) -> Result<KeypointCounts, StoreError> {
-    let mut counts = KeypointCounts::new();
+) -> Result<Measured, StoreError> {
+    let mut measured = Measured::new();
     let mut rows = sqlx::query(
-        "SELECT id, qx, qy, qz, qw, tx, ty, tz, n_keypoints, features
+        "SELECT id, qx, qy, qz, qw, tx, ty, tz, n_keypoints, features, n_segments, vanishing
          FROM keyframes k LEFT JOIN keyframe_features f ON f.session = k.session AND f.keyframe = k.id
+         LEFT JOIN keyframe_vanishing v ON v.session = k.session AND v.keyframe = k.id
          WHERE k.session = ? ORDER BY id",
     )
     .bind(session)
@@ -29,28 +30,39 @@ pub(super) async fn check_keyframes(
         if read_pose(&row, 1).is_err() {
             problems.add(format!("key frame {id} has no finite pose with a unit quaternion"));
         }
-        let n_claimed: i64 = row.try_get(8)?;
+        let n_claimed: [i64; 2] = [row.try_get(8)?, row.try_get(10)?];
         let features: Option<&[u8]> = row.try_get(9)?;
-        let n_keypoints = match features.map(check_features) {
+        let counts = match features.map(check_features) {
             None => {
                 problems.add(format!("key frame {id} has no features"));
-                0
+                MeasuredCounts::default()
             }
             Some(Err(error)) => {
                 problems.add(format!("the features of key frame {id} cannot be read: {error}"));
-                0
+                MeasuredCounts::default()
             }
-            Some(Ok(n_keypoints)) => {
-                if n_keypoints as i64 != n_claimed {
-                    problems
-                        .add(format!("key frame {id} claims {n_claimed} keypoints but has {n_keypoints}"));
+            Some(Ok(counts)) => {
+                let found = [counts.n_keypoints, counts.n_segments];
+                for ((what, claimed), found) in ["keypoints", "segments"].iter().zip(n_claimed).zip(found) {
+                    if found as i64 != claimed {
+                        problems.add(format!("key frame {id} claims {claimed} {what} but has {found}"));
+                    }
                 }
-                n_keypoints
+                counts
             }
         };
-        counts.insert(id, n_keypoints);
+        let vanishing: Option<&[u8]> = row.try_get(11)?;
+        let n_vanishing = match vanishing.map(|blob| decode_vanishing(blob, counts.n_segments)) {
+            None => 0,
+            Some(Ok(vanishing)) => vanishing.len(),
+            Some(Err(error)) => {
+                problems.add(format!("the vanishing points of key frame {id} cannot be read: {error}"));
+                0
+            }
+        };
+        measured.insert(id, [counts.n_keypoints, counts.n_segments, n_vanishing]);
     }
-    Ok(counts)
+    Ok(measured)
 }
 
 /// Checks that each removed key frame hangs, by however many others, on one that is in the map.

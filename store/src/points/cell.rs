@@ -1,9 +1,9 @@
-//! The grid cells that stand for points in the R*Tree.
+//! The grid cells that stand for points and lines in the R*Trees.
 //!
 //! Bundle adjustment moves thousands of points a little, and moving an entry of the tree costs ten times what
 //! rewriting a row does. So the tree holds the cell of a grid the point lies in: a point that stays in its cell leaves
 //! the tree alone. Cells grow with the distance the point is seen from, as its uncertainty does. The cell depends on the
-//! point's row alone, not on its past.
+//! point's row alone, not on its past. Lines stand as the cells from one end to the other.
 
 use nalgebra::Vector3;
 
@@ -11,13 +11,16 @@ use nalgebra::Vector3;
 /// two. A sixteenth: corrections of a settled map are some hundredths of that, and queries of a room are still sharp.
 const SIDE_SHARE: f64 = 1.0 / 16.0;
 
+/// The same for a line, as a share of its length. A quarter: the box of a slanting line is far larger than the line.
+const SIDE_SHARE_OF_LENGTH: f64 = 1.0 / 4.0;
+
 /// Bits of a key that hold the point's id; the session's number is above them.
 const POINT_BITS: u32 = 40;
 
-/// Greatest id of a point that has room in a key.
+/// Greatest id of a point or line that has room in a key.
 pub(crate) const MAX_POINT_ID: u64 = (1 << POINT_BITS) - 1;
 
-/// The R*Tree's key of a point; `point` is at most [`MAX_POINT_ID`].
+/// The R*Tree's key of a point or line; `point` is at most [`MAX_POINT_ID`].
 pub(crate) fn cell_key(session: i64, point: i64) -> i64 {
     session << POINT_BITS | point
 }
@@ -37,7 +40,22 @@ pub(crate) struct Cell {
 impl Cell {
     /// The cell of a point that can be seen from up to `max_distance`. The point itself where that is no usable number.
     pub fn of(position: &Vector3<f64>, max_distance: f64) -> Self {
-        let side = power_of_two_up_to(max_distance * SIDE_SHARE);
+        Self::of_side(position, max_distance * SIDE_SHARE)
+    }
+
+    /// The cells from one end of a line to the other. A line's uncertainty grows with its length as a point's with its
+    /// distance.
+    pub fn of_ends([start, end]: &[Vector3<f64>; 2]) -> Self {
+        let side = (end - start).norm() * SIDE_SHARE_OF_LENGTH;
+        let (a, b) = (Self::of_side(start, side), Self::of_side(end, side));
+        Self {
+            low: std::array::from_fn(|axis| a.low[axis].min(b.low[axis])),
+            high: std::array::from_fn(|axis| a.high[axis].max(b.high[axis])),
+        }
+    }
+
+    fn of_side(position: &Vector3<f64>, greatest_side: f64) -> Self {
+        let side = power_of_two_up_to(greatest_side);
         let low = |x: f64| side.map_or(x, |side| (x / side).floor() * side);
         let high = |x: f64| side.map_or(x, |side| ((x / side).floor() + 1.0) * side);
         let p: [f64; 3] = (*position).into();
@@ -73,6 +91,15 @@ mod tests {
         assert_ne!(Cell::of(&(position + Vector3::new(0.0, 0.02, 0.0)), 8.0), cell);
         let unknown = Cell::of(&position, f64::INFINITY);
         assert_eq!((unknown.low, unknown.high), (position.into(), position.into()));
+    }
+
+    #[test]
+    fn a_lines_cells_reach_from_end_to_end() {
+        let ends = [Vector3::new(0.1, 0.0, 2.0), Vector3::new(-1.3, 0.0, 3.5)];
+        let cell = Cell::of_ends(&ends);
+        assert_eq!((cell.low, cell.high), ([-1.5, 0.0, 2.0], [0.5, 0.5, 4.0]));
+        let without_length = Cell::of_ends(&[ends[0]; 2]);
+        assert_eq!((without_length.low, without_length.high), (ends[0].into(), ends[0].into()));
     }
 
     #[test]

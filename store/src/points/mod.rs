@@ -5,4 +5,5 @@ mod query;
 mod row;
 
 pub use query::{Bounds, PointPage, PointQuery};
+pub(crate) use query::{push_cell_keys, region, select_points};
 pub(crate) use row::{POINT_COLUMNS, PointRow, parse_point};

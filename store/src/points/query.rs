@@ -49,14 +49,7 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 impl PointQuery {
     /// The smallest box all wanted points are in; `None` if they can be anywhere.
     fn region(&self) -> Option<Bounds> {
-        let ball = self.near.map(|(centre, radius)| Bounds {
-            min: centre - Vector3::repeat(radius),
-            max: centre + Vector3::repeat(radius),
-        });
-        match (self.bounds, ball) {
-            (Some(a), Some(b)) => Some(Bounds { min: a.min.sup(&b.min), max: a.max.inf(&b.max) }),
-            (a, b) => a.or(b),
-        }
+        region(self.bounds, self.near)
     }
 
     /// Adds the conditions on a point's row.
@@ -84,9 +77,27 @@ impl PointQuery {
     }
 }
 
-/// Adds a question to the R*Tree: the keys of a session's points after one whose cells meet a box.
-fn push_cell_keys(sql: &mut QueryBuilder<Sqlite>, session: i64, after: i64, region: &Bounds) {
-    sql.push("SELECT key FROM point_cells WHERE session_min >= ").push_bind(session);
+/// The smallest box that holds what is in a box and near a place; `None` for neither.
+pub(crate) fn region(bounds: Option<Bounds>, near: Option<(Vector3<f64>, f64)>) -> Option<Bounds> {
+    let ball = near.map(|(centre, radius)| Bounds {
+        min: centre - Vector3::repeat(radius),
+        max: centre + Vector3::repeat(radius),
+    });
+    match (bounds, ball) {
+        (Some(a), Some(b)) => Some(Bounds { min: a.min.sup(&b.min), max: a.max.inf(&b.max) }),
+        (a, b) => a.or(b),
+    }
+}
+
+/// Adds a question to an R*Tree: the keys of a session's entries after one whose cells meet a box.
+pub(crate) fn push_cell_keys(
+    sql: &mut QueryBuilder<Sqlite>,
+    tree: &'static str,
+    session: i64,
+    after: i64,
+    region: &Bounds,
+) {
+    sql.push("SELECT key FROM ").push(tree).push(" WHERE session_min >= ").push_bind(session);
     sql.push(" AND session_max <= ").push_bind(session);
     for (axis, (low, high)) in AXES.into_iter().zip(region.min.iter().zip(&region.max)) {
         sql.push(" AND ").push(axis).push("_max >= ").push_bind(*low);
@@ -186,7 +197,7 @@ fn select_from_points(session: i64) -> QueryBuilder<Sqlite> {
     sql
 }
 
-async fn select_points(
+pub(crate) async fn select_points(
     connection: &mut SqliteConnection,
     session: i64,
     query: &PointQuery,
@@ -197,7 +208,7 @@ async fn select_points(
     sql.push(" AND id > ").push_bind(after);
     if let Some(region) = query.region() {
         sql.push(" AND id IN (SELECT key & ").push_bind(MAX_POINT_ID as i64).push(" FROM (");
-        push_cell_keys(&mut sql, session, after, &region);
+        push_cell_keys(&mut sql, "point_cells", session, after, &region);
         sql.push("))");
     }
     query.push_conditions(&mut sql);
@@ -226,7 +237,7 @@ async fn select_candidates(
     region: &Bounds,
 ) -> Result<Vec<i64>, StoreError> {
     let mut sql = QueryBuilder::new("");
-    push_cell_keys(&mut sql, session, 0, region);
+    push_cell_keys(&mut sql, "point_cells", session, 0, region);
     let rows = sql.build().fetch_all(connection).await?;
     let mut ids =
         rows.iter().map(|row| Ok(point_of_key(row.try_get(0)?))).collect::<Result<Vec<_>, StoreError>>()?;

@@ -13,11 +13,12 @@ use std::collections::BTreeSet;
 
 const KEYFRAME_ROWS: MultiRow = MultiRow {
     insert: "INSERT INTO keyframes (session, id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, \
-             parent, n_keypoints, n_points) VALUES ",
-    n_columns: 15,
+             parent, n_keypoints, n_points, n_segments, n_lines) VALUES ",
+    n_columns: 17,
     conflict: " ON CONFLICT (session, id) DO UPDATE SET submap = excluded.submap, qx = excluded.qx, \
                qy = excluded.qy, qz = excluded.qz, qw = excluded.qw, tx = excluded.tx, ty = excluded.ty, \
-               tz = excluded.tz, parent = excluded.parent, n_points = excluded.n_points",
+               tz = excluded.tz, parent = excluded.parent, n_points = excluded.n_points, \
+               n_lines = excluded.n_lines",
 };
 
 const REMOVED_ROWS: MultiRow = MultiRow {
@@ -50,7 +51,9 @@ pub(super) async fn write_keyframes(
             pose.into_iter().try_for_each(|value| columns.add(value))?;
             columns.add(keyframe.parent.map(keyframe_column).transpose()?)?;
             columns.add(keyframe.features.len() as i64)?;
-            columns.add(keyframe.n_points() as i64)
+            columns.add(keyframe.n_points() as i64)?;
+            columns.add(keyframe.lines.len() as i64)?;
+            columns.add(keyframe.observed_lines().count() as i64)
         })
         .await?;
     delete_keyframes(connection, session, update).await

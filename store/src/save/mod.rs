@@ -1,7 +1,10 @@
 //! Writing a map update: one transaction, and in it only the rows that changed.
 
+mod cells;
 mod keyframes;
-mod landmarks;
+mod lines;
+mod points;
+mod primitives;
 mod rows;
 
 use crate::number::to_column;
@@ -59,11 +62,15 @@ impl Store {
         let mut transaction = self.begin_write().await?;
         let (number, before) = read_session(&mut transaction, session).await?;
 
-        landmarks::delete_points(&mut transaction, number, update).await?;
+        points::delete_points(&mut transaction, number, update).await?;
+        lines::delete_lines(&mut transaction, number, update).await?;
         keyframes::write_keyframes(&mut transaction, number, update).await?;
         keyframes::write_features(&mut transaction, number, update).await?;
         keyframes::write_images(&mut transaction, number, update, images).await?;
-        landmarks::write_points(&mut transaction, number, update).await?;
+        primitives::write_vanishing(&mut transaction, number, update).await?;
+        points::write_points(&mut transaction, number, update).await?;
+        lines::write_lines(&mut transaction, number, update).await?;
+        primitives::write_primitives(&mut transaction, number, update).await?;
         let n_new_frames = write_frames(&mut transaction, number, &update.frames).await?;
 
         let newest = update.frames.iter().map(|frame| (frame.sequence, frame.timestamp_ns)).max();
@@ -72,6 +79,8 @@ impl Store {
             n_frames: before.counts.n_frames + n_new_frames,
             n_keyframes: update.map.n_keyframes() as u64,
             n_points: update.map.n_points() as u64,
+            n_lines: update.map.n_lines() as u64,
+            n_primitives: update.map.n_primitives() as u64,
             n_submaps: update.map.submaps().len() as u32,
         };
         write_progress(&mut transaction, number, status.state, last_frame, update.map.last_ids(), &counts)

@@ -5,7 +5,7 @@ mod json;
 use crate::number::{from_column, from_column_u32, to_column};
 use crate::{Store, StoreError};
 use geometry::{Camera, CameraParameters};
-use slam::map::FrameState;
+use slam::map::{FrameState, LastIds};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 
@@ -54,6 +54,10 @@ pub struct SessionCounts {
     pub n_keyframes: u64,
     /// Points.
     pub n_points: u64,
+    /// Lines.
+    pub n_lines: u64,
+    /// Global primitives.
+    pub n_primitives: u64,
     /// Submaps that have key frames.
     pub n_submaps: u32,
 }
@@ -214,6 +218,8 @@ pub(crate) fn parse_session(row: &SqliteRow) -> Result<(i64, SessionRecord), Sto
             n_frames: from_column("n_frames", row.try_get("n_frames")?)?,
             n_keyframes: from_column("n_keyframes", row.try_get("n_keyframes")?)?,
             n_points: from_column("n_points", row.try_get("n_points")?)?,
+            n_lines: from_column("n_lines", row.try_get("n_lines")?)?,
+            n_primitives: from_column("n_primitives", row.try_get("n_primitives")?)?,
             n_submaps: from_column_u32("n_submaps", row.try_get("n_submaps")?)?,
         },
     };
@@ -226,22 +232,27 @@ pub(crate) async fn write_progress(
     number: i64,
     state: FrameState,
     last_frame: Option<(u64, i64)>,
-    last_ids: (u64, u64),
+    last_ids: LastIds,
     counts: &SessionCounts,
 ) -> Result<(), StoreError> {
     let last_sequence = last_frame.map(|(sequence, _)| to_column("sequence", sequence)).transpose()?;
     sqlx::query(
         "UPDATE sessions SET state = ?, last_sequence = ?, last_timestamp_ns = ?, last_keyframe_id = ?,
-         last_point_id = ?, n_frames = ?, n_keyframes = ?, n_points = ?, n_submaps = ? WHERE number = ?",
+         last_point_id = ?, last_line_id = ?, last_primitive_id = ?, n_frames = ?, n_keyframes = ?, n_points = ?,
+         n_lines = ?, n_primitives = ?, n_submaps = ? WHERE number = ?",
     )
     .bind(state_column(state))
     .bind(last_sequence)
     .bind(last_frame.map(|(_, timestamp_ns)| timestamp_ns))
-    .bind(to_column("key frame id", last_ids.0)?)
-    .bind(to_column("point id", last_ids.1)?)
+    .bind(to_column("key frame id", last_ids.keyframe)?)
+    .bind(to_column("point id", last_ids.point)?)
+    .bind(to_column("line id", last_ids.line)?)
+    .bind(to_column("primitive id", last_ids.primitive)?)
     .bind(to_column("n_frames", counts.n_frames)?)
     .bind(to_column("n_keyframes", counts.n_keyframes)?)
     .bind(to_column("n_points", counts.n_points)?)
+    .bind(to_column("n_lines", counts.n_lines)?)
+    .bind(to_column("n_primitives", counts.n_primitives)?)
     .bind(i64::from(counts.n_submaps))
     .bind(number)
     .execute(connection)

@@ -7,7 +7,7 @@ use store::{Store, StoreOptions};
 /// A sound database, closed.
 async fn sound_database(folder: &Path) -> PathBuf {
     let store = store_with_session(folder).await;
-    store.save_update("s", &first_update(&parts(61, SMALL)), TRACKED, &[]).await.unwrap();
+    store.save_update("s", &first_update(&structured(61, SMALL)), TRACKED, &[]).await.unwrap();
     assert_eq!(store.check().await.unwrap(), []);
     store.close().await.unwrap();
     store.path().to_path_buf()
@@ -78,6 +78,41 @@ async fn every_kind_of_damage_is_found() {
         (
             "INSERT INTO point_cells VALUES ((1 << 40) | 70, 1, 1, 0, 1, 0, 1, 0, 1)",
             "61 places are noted for 60 points",
+        ),
+        ("UPDATE sessions SET n_lines = 3", "it claims 3 lines but has 25"),
+        ("UPDATE sessions SET n_primitives = 3", "it claims 3 primitives but has 4"),
+        ("UPDATE keyframes SET n_segments = 31 WHERE id = 3", "key frame 3 claims 31 segments but has 30"),
+        (
+            "UPDATE keyframe_vanishing SET vanishing = x'09' WHERE keyframe = 2",
+            "vanishing points of key frame 2 cannot be read",
+        ),
+        (
+            "DELETE FROM keyframe_vanishing WHERE keyframe = 2",
+            "a vanishing point its key frame does not have",
+        ),
+        ("UPDATE lines SET start_x = 9e999 WHERE id = 5", "line 5 has a number that is not finite"),
+        ("UPDATE lines SET end_z = end_z + 50 WHERE id = 5", "line 5 is not where spatial queries look"),
+        ("UPDATE lines SET end_z = end_z + 0.1 WHERE id = 5", "an end of line 5 is not on it"),
+        ("UPDATE lines SET direction_y = direction_y + 1 WHERE id = 5", "line 5: it is no Plücker line"),
+        ("UPDATE lines SET n_observations = 9 WHERE id = 5", "line 5 has the wrong number of observations"),
+        (
+            "UPDATE lines SET (observations, n_observations) = (SELECT observations, n_observations FROM lines WHERE id = 6) WHERE id = 5",
+            "a segment that another line is seen by",
+        ),
+        (
+            "UPDATE lines SET primitive = 99 WHERE id = 5",
+            "line 5 belongs to primitive 99, which is not there",
+        ),
+        ("DELETE FROM line_cells WHERE key & 0xffffffffff = 8", "line 8 is not where spatial queries look"),
+        (
+            "INSERT INTO line_cells VALUES ((1 << 40) | 70, 1, 1, 0, 1, 0, 1, 0, 1)",
+            "26 places are noted for 25 lines",
+        ),
+        ("UPDATE primitives SET direction_x = 2 WHERE id = 1", "primitive 1: it is no direction"),
+        ("UPDATE primitives SET covariance = x'00' WHERE id = 1", "primitive 1: "),
+        (
+            "UPDATE primitives SET (observations, n_observations) = (SELECT observations, n_observations FROM primitives WHERE id = 2) WHERE id = 1",
+            "a vanishing point that another primitive is seen by",
         ),
         (
             "INSERT INTO removed_keyframes VALUES (1, 9, 8, 0, 0, 0, 1, 0, 0, 0), (1, 8, 9, 0, 0, 0, 1, 0, 0, 0)",

@@ -24,7 +24,7 @@ async fn a_full_disk_leaves_the_last_commit_and_the_update_can_be_tried_again() 
     let store = Store::open(store.path(), options).await.unwrap();
     store.create_session(&new_session("large")).await.unwrap();
     let before = (store.digest("s").await.unwrap(), store.digest("large").await.unwrap());
-    let large = parts(43, Size { n_keyframes: 30, n_keypoints: 300, n_points: 1500 });
+    let large = structured(43, Size { n_keyframes: 30, n_keypoints: 300, n_points: 1500 });
     let update = first_update(&large);
     for _ in 0..2 {
         let error = store.save_update("large", &update, TRACKED, &[]).await.unwrap_err();
@@ -60,12 +60,13 @@ fn copy_as_if_killed(from: &Path, to: &Path) {
 async fn a_killed_process_leaves_the_map_of_its_last_commit() {
     let folder = tempfile::tempdir().unwrap();
     let store = store_with_session(folder.path()).await;
-    let mut world = parts(44, SMALL);
+    let mut world = structured(44, SMALL);
     store.save_update("s", &first_update(&world), TRACKED, &[]).await.unwrap();
     for round in 0..6u64 {
         world.points.iter_mut().for_each(|point| point.position += Numbers(round).vector(0.3));
-        let points = world.points.iter().map(|point| point.id).collect();
-        let changes = MapChanges { points, ..MapChanges::default() };
+        world.lines.iter_mut().for_each(|line| move_line(line, Numbers(round).vector(0.3)));
+        world.primitives.iter_mut().for_each(|primitive| primitive.covariance *= 0.5);
+        let changes = MapChanges { keyframes: Default::default(), ..all_new(&world) };
         let update = MapUpdate { map: map(&world), changes, frames: vec![frame(21 + round, kf(1))] };
         store.save_update("s", &update, TRACKED, &[]).await.unwrap();
 

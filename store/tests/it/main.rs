@@ -2,6 +2,9 @@
 
 mod check;
 mod durability;
+mod graph;
+mod lines;
+mod primitives;
 mod queries;
 mod save_load;
 mod schema;

@@ -2,7 +2,7 @@ use crate::world::*;
 use geometry::Pose;
 use nalgebra::Vector3;
 use slam::config::SlamConfig;
-use slam::map::{FrameState, MapChanges, RemovedKeyframe, SubmapId};
+use slam::map::{FrameState, LastIds, MapChanges, RemovedKeyframe, SubmapId};
 use slam::{Keyframe, Map, MapUpdate, NoClock, Pipeline};
 use std::sync::Arc;
 use store::{KeyframeImage, SessionCounts, Store, StoreError, StoreOptions};
@@ -11,11 +11,18 @@ use store::{KeyframeImage, SessionCounts, Store, StoreError, StoreOptions};
 async fn a_saved_map_comes_back_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     let store = store_with_session(folder.path()).await;
-    let mut saved = parts(11, SMALL);
+    let mut saved = structured(11, SMALL);
     saved.points[3].distance_range.1 = f64::INFINITY;
-    saved.last_point_id = 1000;
+    saved.last_ids = LastIds { point: 1000, line: 2000, primitive: 3000, ..saved.last_ids };
     let committed = store.save_update("s", &first_update(&saved), TRACKED, &[]).await.unwrap();
-    let counts = SessionCounts { n_frames: 20, n_keyframes: 6, n_points: 60, n_submaps: 1 };
+    let counts = SessionCounts {
+        n_frames: 20,
+        n_keyframes: 6,
+        n_points: 60,
+        n_lines: 25,
+        n_primitives: 4,
+        n_submaps: 1,
+    };
     assert_eq!((committed.last_sequence, committed.counts), (Some(20), counts));
 
     // Opened again, so that nothing comes from memory.
@@ -31,7 +38,9 @@ async fn a_saved_map_comes_back_bit_for_bit() {
     let camera = loaded.record.checked_camera().unwrap();
     let config = SlamConfig { threading: slam::Threading::Inline, ..SlamConfig::default() };
     let pipeline = Pipeline::resume(config, camera, Arc::new(NoClock), loaded.resume).unwrap();
-    assert_eq!(pipeline.map().n_points(), 60);
+    let resumed = pipeline.map();
+    assert_eq!((resumed.n_points(), resumed.n_lines(), resumed.n_primitives()), (60, 25, 4));
+    assert_same_parts(&resumed.to_parts(), &saved);
 }
 
 #[tokio::test]
@@ -136,7 +145,10 @@ async fn a_dropped_submap_takes_along_what_hung_on_it() {
         removed_points: removed.points.iter().map(|point| point.id).collect(),
         ..MapChanges::default()
     };
-    let empty = slam::map::MapParts { last_keyframe_id: 6, last_point_id: 60, ..Default::default() };
+    let empty = slam::map::MapParts {
+        last_ids: LastIds { keyframe: 6, point: 60, ..LastIds::default() },
+        ..Default::default()
+    };
     store
         .save_update("s", &MapUpdate { map: map(&empty), changes, frames: vec![] }, TRACKED, &[])
         .await
@@ -163,7 +175,7 @@ async fn joined_updates_store_what_single_ones_do() {
         first.keyframes[0].features.clone(),
         None,
     ));
-    third.last_keyframe_id = 7;
+    third.last_ids.keyframe = 7;
     let third_changes = MapChanges {
         keyframes: [kf(7)].into(),
         points: [third.points[0].id].into(),
@@ -207,9 +219,13 @@ async fn equal_updates_give_equal_digests_and_any_difference_shows() {
     for (id, time) in [("a", 1), ("b", 2), ("c", 3)] {
         let new = store::NewSession { created_at_ns: time, ..new_session(id) };
         store.create_session(&new).await.unwrap();
-        let mut saved = parts(16, SMALL);
+        let mut saved = structured(16, SMALL);
         if id == "c" {
-            saved.points[30].position.y = f64::from_bits(saved.points[30].position.y.to_bits() + 1);
+            let next_after = |value: &mut f64| *value = f64::from_bits(value.to_bits() + 1);
+            next_after(&mut saved.points[30].position.y);
+            next_after(&mut saved.lines[7].endpoints[0].z);
+            next_after(&mut saved.primitives[1].covariance[(2, 0)]);
+            next_after(&mut saved.keyframes[3].vanishing[2].direction.x);
         }
         store.save_update(id, &first_update(&saved), TRACKED, &[]).await.unwrap();
         digests.push(store.digest(id).await.unwrap());
@@ -217,7 +233,7 @@ async fn equal_updates_give_equal_digests_and_any_difference_shows() {
     assert_eq!(digests[0], digests[1]);
     let differing: Vec<_> =
         digests[0].0.iter().zip(&digests[2].0).filter(|(a, c)| a != c).map(|(a, _)| a.table).collect();
-    assert_eq!(differing, ["points"]);
+    assert_eq!(differing, ["points", "keyframe_vanishing", "lines", "primitives"]);
 }
 
 #[tokio::test]

@@ -18,17 +18,40 @@ async fn a_database_of_the_first_release_opens() {
     let session = store.get_session("s").await.unwrap();
     assert_eq!((session.camera, session.last_frame), (camera(), Some((20, 1_000_000_000))));
     assert_same_parts(&load(&store).await, &parts(51, SMALL));
-    // And it can be written to.
-    store.save_update("s", &first_update(&parts(51, SMALL)), TRACKED, &[]).await.unwrap();
+    assert_eq!((session.counts.n_points, session.counts.n_lines, session.counts.n_primitives), (60, 0, 0));
+    // And it can be written to, lines and all; what was measured in its key frames stays.
+    let mut grown = parts(51, SMALL);
+    let mut newer = structured(52, SMALL).keyframes.remove(5);
+    newer.id = kf(7);
+    newer.points.fill(None);
+    newer.lines.fill(None);
+    newer.vanishing.iter_mut().for_each(|seen| seen.primitive = None);
+    grown.keyframes.push(newer);
+    grown.last_ids.keyframe = 7;
+    store.save_update("s", &first_update(&grown), TRACKED, &[]).await.unwrap();
+    assert_same_parts(&load(&store).await, &grown);
+    assert_eq!(store.check().await.unwrap(), []);
 }
 
-/// Writes the file the test above opens. Run once per release that changes the schema, under a new name.
+/// A database written by this release, with the session `s` of `structured(51, SMALL)`.
+#[tokio::test]
+async fn a_database_with_lines_opens() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("maps.db");
+    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/schema-2.sqlite");
+    std::fs::copy(fixture, &path).unwrap();
+    let store = Store::open(&path, StoreOptions::default()).await.unwrap();
+    assert_eq!(store.check().await.unwrap(), []);
+    assert_same_parts(&load(&store).await, &structured(51, SMALL));
+}
+
+/// Writes the file that the newest of the tests above opens. Run once per release that changes the schema, under a new name.
 #[tokio::test]
 #[ignore = "writes a file of the repository"]
 async fn write_a_database_of_this_release() {
     let folder = tempfile::tempdir().unwrap();
     let store = store_with_session(folder.path()).await;
-    store.save_update("s", &first_update(&parts(51, SMALL)), TRACKED, &[]).await.unwrap();
+    store.save_update("s", &first_update(&structured(51, SMALL)), TRACKED, &[]).await.unwrap();
     store.close().await.unwrap();
     let name = format!("tests/fixtures/schema-{}.sqlite", Store::schema_version());
     std::fs::copy(store.path(), Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap();

@@ -1,11 +1,12 @@
 //! Seeded maps made by hand, and updates between them.
 
-use geometry::{Camera, CameraModel, CameraParameters, Pose};
-use nalgebra::{UnitQuaternion, Vector3};
-use slam::features::FrameFeatures;
+use geometry::{Camera, CameraModel, CameraParameters, Direction, Line3, Pose};
+use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
+use slam::features::{FrameFeatures, LineFeature};
 use slam::map::{
-    FramePose, FrameRecord, FrameState, KeyframeId, MapChanges, MapParts, Observation, PointId,
-    PointLandmark, SubmapId,
+    FramePose, FrameRecord, FrameState, GlobalPrimitive, KeyframeId, LastIds, LineId, LineLandmark,
+    MapChanges, MapParts, Observation, PointId, PointLandmark, PrimitiveId, PrimitiveObservation, SubmapId,
+    VanishingObservation,
 };
 use slam::{Keyframe, Map, MapUpdate, SlamConfig};
 use std::path::Path;
@@ -52,6 +53,14 @@ pub fn kf(id: u64) -> KeyframeId {
 
 pub fn pt(id: u64) -> PointId {
     PointId::new(id).unwrap()
+}
+
+pub fn ln(id: u64) -> LineId {
+    LineId::new(id).unwrap()
+}
+
+pub fn pr(id: u64) -> PrimitiveId {
+    PrimitiveId::new(id).unwrap()
 }
 
 pub fn new_session(id: &str) -> NewSession {
@@ -112,8 +121,7 @@ pub fn parts(seed: u64, size: Size) -> MapParts {
     });
     let mut parts = MapParts {
         keyframes: keyframes.collect(),
-        last_keyframe_id: size.n_keyframes,
-        last_point_id: size.n_points,
+        last_ids: LastIds { keyframe: size.n_keyframes, point: size.n_points, ..LastIds::default() },
         ..MapParts::default()
     };
     for id in 1..=size.n_points {
@@ -150,6 +158,98 @@ pub fn point(numbers: &mut Numbers, keyframes: &mut [Keyframe], id: PointId) -> 
     }
 }
 
+/// Segments of each key frame of a structured map, a third of them for each of its vanishing points.
+const N_SEGMENTS: u32 = 30;
+/// Primitives of a structured map. The last is seen by no key frame yet.
+const N_PRIMITIVES: u64 = 4;
+/// Lines of a structured map.
+pub const N_LINES: u64 = 25;
+
+/// A map as [`parts`] makes it, with segments, vanishing points, lines and primitives.
+pub fn structured(seed: u64, size: Size) -> MapParts {
+    let mut parts = parts(seed, size);
+    let mut numbers = Numbers(seed ^ 0x51);
+    for id in 1..=N_PRIMITIVES {
+        parts.primitives.push(GlobalPrimitive {
+            id: pr(id),
+            submap: SubmapId(0),
+            direction: Direction::new(numbers.vector(1.0)).unwrap(),
+            covariance: Matrix3::from_fn(|_, _| 1e-5 * numbers.signed()),
+            created_by: kf(id.min(size.n_keyframes)),
+            observations: Vec::new(),
+        });
+    }
+    for keyframe in &mut parts.keyframes {
+        add_structure(&mut numbers, keyframe, &mut parts.primitives);
+    }
+    for id in 1..=N_LINES {
+        let line = line(&mut numbers, &mut parts.keyframes, ln(id));
+        parts.lines.push(line);
+    }
+    parts.last_ids = LastIds { line: N_LINES, primitive: N_PRIMITIVES, ..parts.last_ids };
+    parts
+}
+
+/// Gives a key frame segments and three vanishing points, of which the first two show primitives.
+fn add_structure(numbers: &mut Numbers, keyframe: &mut Keyframe, primitives: &mut [GlobalPrimitive]) {
+    let segments = (0..N_SEGMENTS).map(|_| LineFeature {
+        start: Vector2::from_fn(|_, _| 300.0 + 300.0 * numbers.signed()),
+        end: Vector2::from_fn(|_, _| 300.0 + 300.0 * numbers.signed()),
+        sigma_px: 0.5 + 0.4 * numbers.signed(),
+        descriptor: Descriptor(std::array::from_fn(|_| numbers.bits())),
+        track: numbers.bits(),
+    });
+    let features = FrameFeatures::clone(&keyframe.features).with_lines(segments.collect());
+    keyframe.features = Arc::new(features);
+    keyframe.lines = vec![None; N_SEGMENTS as usize];
+    for idx in 0..3 {
+        let primitive = (idx < 2).then(|| pr(1 + (keyframe.id.get() + u64::from(idx)) % (N_PRIMITIVES - 1)));
+        keyframe.vanishing.push(VanishingObservation {
+            direction: numbers.vector(1.0).normalize(),
+            covariance: Matrix3::from_fn(|_, _| 1e-4 * numbers.signed()),
+            segments: (0..N_SEGMENTS).filter(|segment| segment % 3 == idx).rev().collect(),
+            primitive,
+        });
+        if let Some(id) = primitive {
+            let seen = PrimitiveObservation { keyframe: keyframe.id, vanishing_idx: idx };
+            primitives[id.get() as usize - 1].observations.push(seen);
+        }
+    }
+}
+
+/// A new line seen by free segments of two to four neighbouring key frames; two in three have a primitive.
+pub fn line(numbers: &mut Numbers, keyframes: &mut [Keyframe], id: LineId) -> LineLandmark {
+    let n_seen = 2 + (numbers.bits() % 3) as usize;
+    let first = (numbers.bits() % (keyframes.len() - n_seen + 1) as u64) as usize;
+    let mut observations = Vec::new();
+    for keyframe in &mut keyframes[first..first + n_seen] {
+        if let Some(free) = keyframe.lines.iter().position(Option::is_none) {
+            keyframe.lines[free] = Some(id);
+            observations.push(Observation { keyframe: keyframe.id, feature_idx: free as u32 });
+        }
+    }
+    assert!(observations.len() >= 2, "the world is too full for another line");
+    let endpoints = [numbers.vector(5.0), numbers.vector(5.0)];
+    LineLandmark {
+        id,
+        submap: SubmapId(0),
+        line: Line3::from_points(&endpoints[0], &endpoints[1]).unwrap(),
+        endpoints,
+        descriptor: Descriptor(std::array::from_fn(|_| numbers.bits())),
+        created_by: observations[0].keyframe,
+        observations,
+        n_visible: 6 + (numbers.bits() % 9) as u32,
+        n_found: 2 + (numbers.bits() % 3) as u32,
+        primitive: PrimitiveId::new(id.get() % 3),
+    }
+}
+
+/// Shifts a line with its ends.
+pub fn move_line(line: &mut LineLandmark, step: Vector3<f64>) {
+    line.endpoints = line.endpoints.map(|end| end + step);
+    line.line = Line3::from_points(&line.endpoints[0], &line.endpoints[1]).unwrap();
+}
+
 /// Takes a point out of the parts.
 pub fn remove_point(parts: &mut MapParts, id: PointId) {
     parts.points.retain(|point| point.id != id);
@@ -169,6 +269,8 @@ pub fn all_new(parts: &MapParts) -> MapChanges {
     MapChanges {
         keyframes: parts.keyframes.iter().map(|keyframe| keyframe.id).collect(),
         points: parts.points.iter().map(|point| point.id).collect(),
+        lines: parts.lines.iter().map(|line| line.id).collect(),
+        primitives: parts.primitives.iter().map(|primitive| primitive.id).collect(),
         ..MapChanges::default()
     }
 }
@@ -199,8 +301,10 @@ pub fn lost_frame(sequence: u64) -> FrameRecord {
 /// Compares maps to the last bit.
 pub fn assert_same_parts(left: &MapParts, right: &MapParts) {
     assert_eq!(left.points, right.points);
+    assert_eq!(left.lines, right.lines);
+    assert_eq!(left.primitives, right.primitives);
     assert_eq!(left.removed_keyframes, right.removed_keyframes);
-    assert_eq!((left.last_keyframe_id, left.last_point_id), (right.last_keyframe_id, right.last_point_id));
+    assert_eq!(left.last_ids, right.last_ids);
     assert_eq!(left.keyframes.len(), right.keyframes.len());
     for (a, b) in left.keyframes.iter().zip(&right.keyframes) {
         assert_eq!(
@@ -209,6 +313,8 @@ pub fn assert_same_parts(left: &MapParts, right: &MapParts) {
         );
         assert_eq!((a.camera_from_world, a.parent), (b.camera_from_world, b.parent));
         assert_eq!(a.points, b.points);
+        assert_eq!((&a.lines, &a.vanishing), (&b.lines, &b.vanishing));
+        assert_eq!(a.features.lines, b.features.lines);
         assert_eq!(a.features.keypoints, b.features.keypoints);
         assert_eq!(a.features.descriptors, b.features.descriptors);
         assert_eq!(a.features.undistorted, b.features.undistorted);

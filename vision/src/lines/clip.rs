@@ -22,37 +22,56 @@ impl Frame {
         Self { min: self.min - Vector2::repeat(by_px), max: self.max + Vector2::repeat(by_px) }
     }
 
+    /// The pixel centres of an image without `border_px` on every side, unless nothing remains of it.
+    pub fn inside(width: u32, height: u32, border_px: f32) -> Option<Self> {
+        let frame = Self::of_image(width, height).grown(-border_px);
+        (0..2).all(|axis| frame.max[axis] > frame.min[axis]).then_some(frame)
+    }
+
+    pub fn min(&self) -> Vector2<f32> {
+        self.min
+    }
+
+    pub fn max(&self) -> Vector2<f32> {
+        self.max
+    }
+
     pub fn contains(&self, position: &Vector2<f32>) -> bool {
         (0..2).all(|axis| (self.min[axis]..=self.max[axis]).contains(&position[axis]))
     }
 
     /// The part of `segment` inside, if there is any; its direction stays.
     pub fn clip(&self, segment: &Segment) -> Option<Segment> {
-        let is_empty = (0..2).any(|axis| self.min[axis] > self.max[axis]);
-        if is_empty || !segment.is_finite() {
+        let (start, end) = segment.is_finite().then(|| self.clip_ends(segment.start, segment.end))??;
+        Some(Segment { start, end, ..*segment })
+    }
+
+    /// The part between two pixels that is inside, if there is any.
+    pub fn clip_ends(&self, start: Vector2<f32>, end: Vector2<f32>) -> Option<(Vector2<f32>, Vector2<f32>)> {
+        if (0..2).any(|axis| self.min[axis] > self.max[axis]) {
             return None;
         }
-        let vector = segment.vector();
+        let vector = end - start;
         let (mut first, mut last) = (0.0f32, 1.0f32);
         // Liang & Barsky: on each axis the line is inside between two of its parameters.
         for axis in 0..2 {
-            let (start, along) = (segment.start[axis], vector[axis]);
+            let (from, along) = (start[axis], vector[axis]);
             if along == 0.0 {
-                if !(self.min[axis]..=self.max[axis]).contains(&start) {
+                if !(self.min[axis]..=self.max[axis]).contains(&from) {
                     return None;
                 }
                 continue;
             }
-            let (a, b) = ((self.min[axis] - start) / along, (self.max[axis] - start) / along);
+            let (a, b) = ((self.min[axis] - from) / along, (self.max[axis] - from) / along);
             first = first.max(a.min(b));
             last = last.min(a.max(b));
         }
         if !(first <= last && vector.iter().all(|value| value.is_finite())) {
             return None;
         }
-        let start = if first > 0.0 { segment.start + vector * first } else { segment.start };
-        let end = if last < 1.0 { segment.start + vector * last } else { segment.end };
-        Some(Segment { start, end, ..*segment })
+        let clipped_start = if first > 0.0 { start + vector * first } else { start };
+        let clipped_end = if last < 1.0 { start + vector * last } else { end };
+        Some((clipped_start, clipped_end))
     }
 }
 

@@ -2,11 +2,12 @@
 
 use crate::GrayImage;
 use crate::lines::Segment;
+use crate::lines::clip::Frame;
 use crate::lines::edge_drawing::EdgeDrawing;
 use crate::lines::gradient::Gradients;
 use crate::lines::lsd::Lsd;
 use crate::lines::refine::Refiner;
-use crate::lines::select::{self, Frame};
+use crate::lines::select;
 
 /// Finds line segments; keeps its buffers from image to image, hence `&mut`.
 pub trait SegmentDetector: Send {
@@ -175,7 +176,7 @@ impl<D: RawDetector> SegmentDetector for ForSlam<D> {
                 break;
             }
             let Some(refined) = self.refiner.refine(&self.gradients, ends) else { continue };
-            let Some(segment) = frame.clip_segment(refined) else { continue };
+            let Some(segment) = frame.clip(&refined) else { continue };
             let is_line = segment.sigma_px <= config.max_sigma_px && segment.length() >= min_length_px;
             if is_line && !segments.iter().any(|kept| select::is_repeated(kept, &segment)) {
                 segments.push(segment);

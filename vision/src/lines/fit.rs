@@ -68,6 +68,12 @@ impl Moments {
 }
 
 impl FittedLine {
+    /// Root mean square distance of the points from the line, pixels.
+    #[inline]
+    pub fn sigma_px(&self) -> f32 {
+        self.variance.sqrt() as f32
+    }
+
     /// Distance of a point from the line, pixels, signed.
     #[inline]
     pub fn distance(&self, point: Vector2<f32>) -> f64 {

@@ -3,6 +3,7 @@
 use nalgebra::Vector2;
 
 use crate::lines::Segment;
+use crate::lines::clip::Frame;
 
 /// Start and end of a segment, pixels, brighter side to the right.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,13 +18,6 @@ impl Ends {
     }
 }
 
-/// The part of an image segments may lie in, pixels.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Frame {
-    min: Vector2<f32>,
-    max: Vector2<f32>,
-}
-
 /// Squares of the grid along the longer side of the frame, over which segments are spread: in an image of 640 x 480 they
 /// have 80 pixels, and 200 segments are four to a square.
 const N_CELLS: f32 = 8.0;
@@ -35,56 +29,23 @@ const SAME_EDGE_PX: f32 = 1.2;
 /// A segment repeats another if more than this share of its length lies beside it.
 const MAX_REPEATED_SHARE: f32 = 0.5;
 
-impl Frame {
-    /// An image without `border_px` on every side, unless nothing remains of it.
-    pub fn inside(width: u32, height: u32, border_px: f32) -> Option<Self> {
-        let min = Vector2::repeat(border_px);
-        let max = Vector2::new(width as f32 - 1.0 - border_px, height as f32 - 1.0 - border_px);
-        (max.x > min.x && max.y > min.y).then_some(Self { min, max })
-    }
-
-    /// The part of a segment inside [Liang & Barsky, "A new concept and method for line clipping", 1984].
-    fn clip(&self, ends: &Ends) -> Option<Ends> {
-        let vector = ends.end - ends.start;
-        let (mut from, mut to) = (0.0f32, 1.0f32);
-        for axis in 0..2 {
-            if vector[axis] == 0.0 {
-                if !(self.min[axis]..=self.max[axis]).contains(&ends.start[axis]) {
-                    return None;
-                }
-                continue;
-            }
-            let at = [self.min, self.max].map(|bound| (bound[axis] - ends.start[axis]) / vector[axis]);
-            from = from.max(at[0].min(at[1]));
-            to = to.min(at[0].max(at[1]));
-        }
-        (from < to).then(|| Ends { start: ends.start + vector * from, end: ends.start + vector * to })
-    }
-
-    /// The part of a refined segment inside.
-    pub fn clip_segment(&self, segment: Segment) -> Option<Segment> {
-        let Ends { start, end } = self.clip(&Ends { start: segment.start, end: segment.end })?;
-        Some(Segment { start, end, ..segment })
-    }
-
-    /// The square a point of the frame lies in, and how many there are.
-    fn cell(&self, point: Vector2<f32>) -> usize {
-        let extent = self.max - self.min;
-        let side = extent.max() / N_CELLS;
-        let columns = (extent.x / side).ceil() as usize;
-        let offset = (point - self.min) / side;
-        offset.y as usize * columns + (offset.x as usize).min(columns - 1)
-    }
+/// The square of the grid over the frame that a point of it lies in, counted row by row.
+fn cell(frame: &Frame, point: Vector2<f32>) -> usize {
+    let extent = frame.max() - frame.min();
+    let side = extent.max() / N_CELLS;
+    let columns = (extent.x / side).ceil() as usize;
+    let offset = (point - frame.min()) / side;
+    offset.y as usize * columns + (offset.x as usize).min(columns - 1)
 }
 
 /// Cuts segments off at the frame and drops those then shorter than `min_length_px`.
 pub(super) fn clip_and_drop(segments: &mut Vec<Ends>, frame: &Frame, min_length_px: f32) {
-    segments.retain_mut(|segment| match frame.clip(segment) {
-        Some(inside) if inside.length() >= min_length_px => {
-            *segment = inside;
-            true
+    segments.retain_mut(|segment| match frame.clip_ends(segment.start, segment.end) {
+        Some((start, end)) => {
+            *segment = Ends { start, end };
+            segment.length() >= min_length_px
         }
-        _ => false,
+        None => false,
     });
 }
 
@@ -95,12 +56,12 @@ pub(super) fn spread(segments: &mut Vec<Ends>, frame: &Frame, n_wanted: usize) {
     if segments.len() <= n_wanted {
         return;
     }
-    let n_cells = frame.cell(frame.max) + 1;
+    let n_cells = cell(frame, frame.max()) + 1;
     let quota = (SHARES_PER_CELL * n_wanted).div_ceil(n_cells);
     let mut taken = vec![0usize; n_cells];
     let mut later = Vec::new();
     segments.retain(|segment| {
-        let cell = frame.cell((segment.start + segment.end) * 0.5).min(n_cells - 1);
+        let cell = cell(frame, (segment.start + segment.end) * 0.5).min(n_cells - 1);
         taken[cell] += 1;
         let now = taken[cell] <= quota;
         if !now {

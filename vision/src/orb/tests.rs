@@ -35,7 +35,7 @@ fn matches(a: &Features, b: &Features, moved: impl Fn(f32, f32) -> (f32, f32)) -
     let is_right = |m: &&crate::matching::DescriptorMatch| {
         let (p, q) = (a.keypoints[m.first_idx as usize], b.keypoints[m.second_idx as usize]);
         let (x, y) = moved(p.x, p.y);
-        let level = extractor().level_sigma_px(p.octave.max(q.octave));
+        let level = OrbConfig::default().level_sigma_px(p.octave.max(q.octave));
         (x - q.x).hypot(y - q.y) < 3.0 * level
     };
     (found.len(), found.iter().filter(is_right).count())

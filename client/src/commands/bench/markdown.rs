@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use client::Distribution;
 
+use super::ablation;
 use super::machine::Machine;
 use super::peers::Peer;
 use super::statistics::{Row, Spread};
@@ -36,9 +37,10 @@ pub fn document(command: &str, machine: &Machine, pace: Pace, rows: &[Row], peer
     )
 }
 
-/// Accuracy, time, time by stage, and the peers' figures.
+/// The ablation if it is one, accuracy with the peers' figures, time, and time by stage.
 pub fn tables(rows: &[Row], peers: &[Peer]) -> String {
     let mut text = String::new();
+    text.push_str(&ablation::table(rows));
     text.push_str(&accuracy(rows, peers));
     text.push_str(&time(rows));
     text.push_str(&stages(rows));
@@ -175,17 +177,19 @@ fn distribution(distribution: Option<Distribution>) -> String {
 }
 
 /// A table of a document.
-struct Table(String);
+pub struct Table(String);
 
 impl Table {
-    fn new(title: &str, columns: &[&str]) -> Self {
+    /// A table without rows under its title.
+    pub fn new(title: &str, columns: &[&str]) -> Self {
         let mut table = Self(format!("## {title}\n\n"));
         table.cells(columns.iter());
         table.cells(columns.iter().enumerate().map(|(i, _)| if i < 2 { "---" } else { "---:" }));
         table
     }
 
-    fn row(&mut self, cells: &[String]) {
+    /// Adds a row.
+    pub fn row(&mut self, cells: &[String]) {
         self.cells(cells.iter());
     }
 
@@ -197,7 +201,8 @@ impl Table {
         self.0.push_str("|\n");
     }
 
-    fn finish(mut self) -> String {
+    /// The table with an empty line after it.
+    pub fn finish(mut self) -> String {
         self.0.push('\n');
         self.0
     }

@@ -1,5 +1,6 @@
 //! `monoslam bench`: streams recordings through a server of its own and measures accuracy, time and memory.
 
+mod ablation;
 mod child;
 mod machine;
 mod markdown;

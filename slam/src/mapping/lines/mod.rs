@@ -42,6 +42,7 @@ impl LineMapper {
             self.extend_track(map, id, &views, config);
         }
         fusion::fuse_with_neighbours(map, id, config);
+        tracing::debug!(keyframe = %id, so_far = ?self.verification, "views of lines verified");
     }
 
     /// Forgets what is no longer in the map.

@@ -42,16 +42,8 @@ impl TrackView {
     }
 
     fn factor(&self, anchored: &AnchoredLine) -> HeldPose {
-        HeldPose {
-            camera_from_world: self.camera_from_world,
-            factor: LineReprojectionFactor {
-                pinhole: self.pinhole,
-                start_px: self.segment.start,
-                end_px: self.segment.end,
-                inverse_sigma: 1.0 / self.segment.sigma_px,
-                origin: anchored.origin,
-            },
-        }
+        let factor = anchored.factor(self.pinhole, &self.segment);
+        HeldPose { camera_from_world: self.camera_from_world, factor }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector2;
 
-use crate::lines::moments::Scatter;
+use crate::lines::fit::{FittedLine, Moments};
 
 /// Most pairs of places tried for the line most places agree on: with 30 % outliers any one pair is good every other
 /// time, so 40 all but never fail together.
@@ -64,29 +64,15 @@ impl ShiftLine {
     }
 }
 
-/// A line fitted to points.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct FittedLine {
-    /// The points' mean.
-    pub point: Vector2<f32>,
-    /// Unit vector.
-    pub direction: Vector2<f32>,
-    /// Root mean square distance of the points from the line, pixels.
-    pub sigma_px: f32,
-}
-
-/// Total least squares: the line of least squared distances, directed within a right angle of `towards`. `None` for
-/// fewer than two points or points that are not finite.
+/// The line of least squared distances, directed within a right angle of `towards`. `None` for fewer than two points or
+/// points that are not finite.
 pub(super) fn fit_points(points: &[Vector2<f32>], towards: Vector2<f32>) -> Option<FittedLine> {
     if points.len() < 2 || !points.iter().all(|point| point.iter().all(|value| value.is_finite())) {
         return None;
     }
-    let n = points.len() as f32;
-    let mean = points.iter().sum::<Vector2<f32>>() / n;
-    let mut scatter = Scatter::default();
-    points.iter().for_each(|point| scatter.add(point - mean, 1.0));
-    let (direction, across) = scatter.main_axis(towards);
-    Some(FittedLine { point: mean, direction, sigma_px: (across / n).sqrt() })
+    let mut moments = Moments::default();
+    points.iter().for_each(|point| moments.push(*point));
+    Some(moments.fit().directed_like(towards))
 }
 
 #[cfg(test)]
@@ -119,8 +105,8 @@ mod tests {
                 })
                 .collect();
             let line = fit_points(&points, -along).unwrap();
-            assert!(line.direction.dot(&along) < -0.999);
-            assert!((line.sigma_px - 0.2).abs() < 0.01, "{}", line.sigma_px);
+            assert!(line.direction.dot(&along.cast()) < -0.999);
+            assert!((line.sigma_px() - 0.2).abs() < 0.01, "{}", line.sigma_px());
         }
         assert!(fit_points(&[Vector2::zeros()], Vector2::x()).is_none());
     }

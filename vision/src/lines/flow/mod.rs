@@ -283,10 +283,8 @@ impl LineFlow {
             && n_inliers as f32 >= config.min_inlier_share * n_samples as f32;
         let fitted =
             enough.then(|| fit_points(&inliers, expected.direction())).flatten().ok_or(inconsistent)?;
-        let onto_line = |pixel: Vector2<f32>| {
-            fitted.point + fitted.direction * fitted.direction.dot(&(pixel - fitted.point))
-        };
-        let new_normal = Vector2::new(-fitted.direction.y, fitted.direction.x);
+        let onto_line = |pixel: Vector2<f32>| fitted.at(fitted.along(pixel));
+        let new_normal = Vector2::new(-fitted.direction.y, fitted.direction.x).cast::<f32>();
         let gradients = inliers.iter().filter_map(|inlier| {
             let pixel = onto_line(*inlier);
             Some(0.5 * (sampler.at(pixel + new_normal)? - sampler.at(pixel - new_normal)?))
@@ -294,10 +292,10 @@ impl LineFlow {
         let segment = Segment {
             start: onto_line(expected.start),
             end: onto_line(expected.end),
-            sigma_px: visible.sigma_px.hypot(fitted.sigma_px),
+            sigma_px: visible.sigma_px.hypot(fitted.sigma_px()),
             gradient: gradients.sum::<f32>() / n_inliers as f32,
         };
-        if fitted.sigma_px > config.max_fit_px || !segment.is_finite() {
+        if fitted.sigma_px() > config.max_fit_px || !segment.is_finite() {
             return Err(inconsistent);
         }
         Ok(FlowedSegment { segment, n_samples, n_inliers })

@@ -1,9 +1,10 @@
 //! Points of an update, and their cells in the R*Tree.
 
+use super::cells::LandmarkTables;
 use super::rows::{MultiRow, id_list};
 use crate::StoreError;
 use crate::points::PointRow;
-use crate::points::cell::{Cell, cell_key};
+use crate::points::cell::Cell;
 use nalgebra::Vector3;
 use slam::map::{MapUpdate, PointLandmark};
 use sqlx::{Row, SqliteConnection};
@@ -20,11 +21,15 @@ const POINT_ROWS: MultiRow = MultiRow {
                n_observations = excluded.n_observations, observations = excluded.observations",
 };
 
-const CELL_ROWS: MultiRow = MultiRow {
-    insert: "INSERT OR REPLACE INTO point_cells (key, session_min, session_max, x_min, x_max, y_min, y_max, \
-             z_min, z_max) VALUES ",
-    n_columns: 9,
-    conflict: "",
+const TABLES: LandmarkTables = LandmarkTables {
+    delete_rows: "DELETE FROM points WHERE session = ? AND id IN (SELECT value FROM json_each(?))",
+    delete_cells: "DELETE FROM point_cells WHERE key IN (SELECT value FROM json_each(?))",
+    cells: MultiRow {
+        insert: "INSERT OR REPLACE INTO point_cells (key, session_min, session_max, x_min, x_max, y_min, y_max, \
+                 z_min, z_max) VALUES ",
+        n_columns: 9,
+        conflict: "",
+    },
 };
 
 /// Deletes removed points, and changed ones that are not in the map any more.
@@ -40,19 +45,7 @@ pub(super) async fn delete_points(
         .filter(|id| update.map.point(**id).is_none())
         .map(|id| id.get())
         .collect();
-    if gone.is_empty() {
-        return Ok(());
-    }
-    sqlx::query("DELETE FROM points WHERE session = ? AND id IN (SELECT value FROM json_each(?))")
-        .bind(session)
-        .bind(id_list(gone.iter().copied()))
-        .execute(&mut *connection)
-        .await?;
-    sqlx::query("DELETE FROM point_cells WHERE key IN (SELECT value FROM json_each(?))")
-        .bind(id_list(gone.iter().map(|id| cell_key(session, *id as i64) as u64)))
-        .execute(connection)
-        .await?;
-    Ok(())
+    TABLES.delete(connection, session, &gone).await
 }
 
 /// Writes changed points' rows, and the cells of those that are new or left their cell.
@@ -90,17 +83,7 @@ pub(super) async fn write_points(
             columns.add(row.observations)
         })
         .await?;
-    CELL_ROWS
-        .write(connection, &moved, |columns, (point, cell)| {
-            columns.add(cell_key(session, *point))?;
-            columns.add(session)?;
-            columns.add(session)?;
-            (0..3).try_for_each(|axis| {
-                columns.add(cell.low[axis])?;
-                columns.add(cell.high[axis])
-            })
-        })
-        .await
+    TABLES.write_cells(connection, session, &moved).await
 }
 
 /// The cells of those of the points that are stored already; a cell follows from the row.

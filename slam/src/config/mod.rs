@@ -1,10 +1,18 @@
 //! What a session runs with. Every field has a default, a unit and a reason.
 
+mod lines;
+mod loops;
+mod primitives;
+mod submaps;
+
+pub use lines::LineConfig;
+pub use loops::LoopConfig;
+pub use primitives::PrimitiveConfig;
+pub use submaps::SubmapConfig;
+
 use crate::features::PyramidGeometry;
 use geometry::Camera;
 use vision::OrbConfig;
-use vision::lines::LineDetectorConfig;
-use vision::vanishing::VanishingConfig;
 
 /// How the stages of a session share the machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -23,7 +31,7 @@ pub struct FeatureSwitches {
     pub lines: bool,
     /// Vanishing directions are shared by key frames as global primitives; needs `lines`. Default on.
     pub global_primitives: bool,
-    /// Places seen again correct the map. Default on.
+    /// Places seen before are recognised: loops are closed and submaps merged. Default on.
     pub loop_closing: bool,
 }
 
@@ -318,235 +326,6 @@ impl Default for MappingConfig {
             local_iterations: (5, 10),
             redundant_share: 0.9,
         }
-    }
-}
-
-/// Following and mapping lines. [ALGORITHMS 3, 5; paper, "Global Structure Association"]
-#[derive(Clone, Debug, PartialEq)]
-pub struct LineConfig {
-    /// How segments are detected.
-    pub detector: LineDetectorConfig,
-    /// Least standard deviation of a segment's ends across it, pixels. Default 0.4: on POV office segments lie 0.07 pixels
-    /// from the true lines in the median and 0.3 in nine of ten cases.
-    pub min_sigma_px: f64,
-    /// Largest distance of a segment's ends from where a line is expected, pixels. Default 8.
-    pub search_radius_px: f64,
-    /// Largest angle between a segment and the expected one, degrees. Default 8.
-    pub search_angle_deg: f64,
-    /// Least overlap of a segment with the expected one, as a share of the shorter. Default 0.3.
-    pub min_search_overlap: f64,
-    /// Largest Hamming distance of the descriptors. Default 90 of 256: geometry decides first.
-    pub max_descriptor_distance: u32,
-    /// Views in which a line must have been tracked to be made. Default 3: any two views agree on some line.
-    pub min_views: usize,
-    /// Least angle between the interpretation planes of a new line's best two views, degrees. Default 1.0, as for points:
-    /// below it the errors of the poses themselves decide the depth.
-    pub min_plane_angle_deg: f64,
-    /// Largest standard deviation of a new line's depth at its ends, as a share of the depth. Default 0.2: it grows
-    /// without bound where the segments lie along the epipolar lines.
-    pub max_depth_sigma_share: f64,
-    /// Reprojection: largest distance between the midpoints of segment and projection, pixels (θ of the paper).
-    /// Default 60: fragments of one edge have different midpoints.
-    pub max_midpoint_distance_px: f64,
-    /// Reprojection: largest distance of the segment's ends from the projection, pixels (d of the paper). Default 4.
-    pub max_end_distance_px: f64,
-    /// Sensitivity: largest angle by which the line may depart from being seen squarely, degrees (α of the paper).
-    /// Default 75.
-    pub max_sensitivity_deg: f64,
-    /// Overlap: least share of the segment that the projection covers (r of the paper). Default 0.3.
-    pub min_overlap: f64,
-    /// Depth at which a line may lie at most, in median depths of the scene. Default 20.
-    pub max_depth_share: f64,
-    /// A young line found in less than this share of the frames that should see it goes. Default 0.25.
-    pub min_found_ratio: f64,
-    /// Key frames after which a line must have been seen by three. Default 3.
-    pub probation_keyframes: u64,
-    /// Neighbours whose lines are looked for in a new key frame, to be joined. Default 10.
-    pub n_fusion_neighbours: usize,
-    /// Largest angle between two lines that are joined, degrees. Default 5.
-    pub fusion_angle_deg: f64,
-    /// Largest distance of one line's projected ends from the other's projection to be joined, pixels. Default 2.
-    pub fusion_distance_px: f64,
-}
-
-impl Default for LineConfig {
-    fn default() -> Self {
-        Self {
-            detector: LineDetectorConfig::default(),
-            min_sigma_px: 0.4,
-            search_radius_px: 8.0,
-            search_angle_deg: 8.0,
-            min_search_overlap: 0.3,
-            max_descriptor_distance: 90,
-            min_views: 3,
-            min_plane_angle_deg: 1.0,
-            max_depth_sigma_share: 0.2,
-            max_midpoint_distance_px: 60.0,
-            max_end_distance_px: 4.0,
-            max_sensitivity_deg: 75.0,
-            min_overlap: 0.3,
-            max_depth_share: 20.0,
-            min_found_ratio: 0.25,
-            probation_keyframes: 3,
-            n_fusion_neighbours: 10,
-            fusion_angle_deg: 5.0,
-            fusion_distance_px: 2.0,
-        }
-    }
-}
-
-/// Recognising a place seen before and correcting the map by it. [ALGORITHMS 7.6]
-#[derive(Clone, Debug, PartialEq)]
-pub struct LoopConfig {
-    /// Places looked at per key frame. Default 3: looking at one takes some milliseconds of the mapping thread.
-    pub max_candidates: usize,
-    /// Fewest descriptors that must vote for a place. Default 20: the geometry needs as many.
-    pub min_votes: u32,
-    /// Least likeness of a place as a share of that of the most similar key frame around the new one. Default 0.2.
-    pub min_score_share: f32,
-    /// Neighbours of the recognised key frame whose points are looked for too. Default 10.
-    pub n_window_neighbours: usize,
-    /// Fewest pairs of points recognised by their looks. Default 20.
-    pub min_matches: usize,
-    /// Iterations of the search for a similarity. Default 300.
-    pub max_iterations: usize,
-    /// Fewest pairs of points that must agree with the similarity found. Default 15, before more pairs are looked for
-    /// where it puts them.
-    pub min_first_inliers: usize,
-    /// Fewest pairs of points that must agree with the refined similarity. Default 20.
-    pub min_inliers: usize,
-    /// Radius in which points are looked for around where the similarity puts them, pixels of the level. Default 8, and
-    /// half of it once the similarity is refined.
-    pub search_radius_px: f64,
-    /// Fewest points of the recognised place that the new key frame must find. Default 45.
-    pub min_projected_matches: usize,
-    /// Neighbours of the new key frame that must find points of the place too. Default 3, or all there are.
-    pub n_confirmations: usize,
-    /// Fewest points that each of them must find. Default 20.
-    pub min_confirming_matches: usize,
-    /// Largest turn between directions of the world, vanishing points on both sides, after the correction, degrees.
-    /// Default 3: look-alike places at another angle are told apart by it.
-    pub max_direction_error_deg: f64,
-    /// Within one submap the largest shift by a correction, as a share of the way since the place was seen. Default
-    /// 0.3: drift is less, while the way between two places that look alike is all of it.
-    pub max_drift_share: f64,
-    /// Within one submap the largest turn by a correction, degrees. Default 45.
-    pub max_turn_deg: f64,
-    /// Within one submap the largest change of scale by a correction, either way. Default 3.
-    pub max_scale_change: f64,
-    /// Shared points that make two key frames neighbours in the essential graph. Default 100.
-    pub min_essential_points: u32,
-    /// Iterations of the optimisation of the essential graph. Default 20.
-    pub essential_iterations: usize,
-    /// Iterations of the global bundle adjustment after a correction. Default 10.
-    pub global_iterations: usize,
-}
-
-impl Default for LoopConfig {
-    fn default() -> Self {
-        Self {
-            max_candidates: 3,
-            min_votes: 20,
-            min_score_share: 0.2,
-            n_window_neighbours: 10,
-            min_matches: 20,
-            max_iterations: 300,
-            min_first_inliers: 15,
-            min_inliers: 20,
-            search_radius_px: 8.0,
-            min_projected_matches: 45,
-            n_confirmations: 3,
-            min_confirming_matches: 20,
-            max_direction_error_deg: 3.0,
-            max_drift_share: 0.3,
-            max_turn_deg: 45.0,
-            max_scale_change: 3.0,
-            min_essential_points: 100,
-            essential_iterations: 20,
-            global_iterations: 10,
-        }
-    }
-}
-
-/// Directions shared by key frames. [ALGORITHMS 6; paper, "Global Primitives"]
-#[derive(Clone, Debug, PartialEq)]
-pub struct PrimitiveConfig {
-    /// How vanishing points are found.
-    pub vanishing: VanishingConfig,
-    /// Largest angle between vanishing point and primitive, in standard deviations of both. Default 3.
-    pub gate_sigmas: f64,
-    /// That angle is never less than this, degrees. Default 2: attitudes drift a little.
-    pub min_gate_deg: f64,
-    /// That angle is never more than this, degrees. Default 5.
-    pub max_gate_deg: f64,
-    /// The angle allowed when lines of the primitive vote for it, degrees. Default 10.
-    pub voted_gate_deg: f64,
-    /// How many lines must vote. Default 3.
-    pub min_votes: usize,
-    /// The second best primitive must be this many times farther off. Default 2.
-    pub min_runner_up_ratio: f64,
-    /// Key frames that must share a direction to make a primitive. Default 3: a single frame shows one chance direction
-    /// in two.
-    pub min_keyframes: usize,
-    /// Segments that must support it in one of them. Default 5.
-    pub min_segments: usize,
-    /// Primitives closer than this are one, unless a key frame shows both, degrees. Default 1.5.
-    pub merge_deg: f64,
-    /// Primitives that fewer key frames show are dropped when they are not seen again. Default 5.
-    pub min_keyframes_to_keep: usize,
-    /// After how many key frames without sight they are dropped. Default 20.
-    pub retire_after_keyframes: u64,
-    /// Largest angle between a line and the primitive its segments vote for, degrees. Default 3.
-    pub max_line_angle_deg: f64,
-    /// Standard deviation of the angle between a line and its primitive, degrees. Default 1: buildings are no truer.
-    pub line_sigma_deg: f64,
-    /// Standard deviation of a segment's end, as far as its direction is concerned, in those of the segment. Default 2:
-    /// edges that should be parallel are not quite.
-    pub segment_sigma_factor: f64,
-    /// Iterations of the second stage of local bundle adjustment. Default 4: it starts from the first one's result.
-    pub stage_two_iterations: usize,
-    /// Primitives may turn the newest key frame by this many standard deviations of its own attitude. Default 3.
-    pub max_turn_sigmas: f64,
-}
-
-impl Default for PrimitiveConfig {
-    fn default() -> Self {
-        Self {
-            vanishing: VanishingConfig::default(),
-            gate_sigmas: 3.0,
-            min_gate_deg: 2.0,
-            max_gate_deg: 5.0,
-            voted_gate_deg: 10.0,
-            min_votes: 3,
-            min_runner_up_ratio: 2.0,
-            min_keyframes: 3,
-            min_segments: 5,
-            merge_deg: 1.5,
-            min_keyframes_to_keep: 5,
-            retire_after_keyframes: 20,
-            max_line_angle_deg: 3.0,
-            line_sigma_deg: 1.0,
-            segment_sigma_factor: 2.0,
-            stage_two_iterations: 4,
-            max_turn_sigmas: 3.0,
-        }
-    }
-}
-
-/// When a lost camera begins a further piece of map, and what becomes of the pieces.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SubmapConfig {
-    /// Time without a pose after which a new submap is begun, nanoseconds. Default 1.5 s: longer than a blurred turn.
-    pub max_lost_ns: i64,
-    /// A submap with fewer key frames than this is discarded when the camera is lost. Default 6.
-    pub min_keyframes: usize,
-    /// A submap younger than this looks for the other submaps every so many frames. Default 3.
-    pub search_interval: u64,
-}
-
-impl Default for SubmapConfig {
-    fn default() -> Self {
-        Self { max_lost_ns: 1_500_000_000, min_keyframes: 6, search_interval: 3 }
     }
 }
 

@@ -1,0 +1,154 @@
+//! What happens in a session, as server-sent events.
+
+use super::model::{Pose, Scale, Session, State as TrackingState};
+use super::units::Units;
+use super::{App, Problem};
+use crate::error::ApiError;
+use crate::session::{MapChange, SessionEvent, SessionId};
+use crate::watch::{Watched, watch};
+use axum::extract::{Path, State};
+use axum::response::sse::{Event, KeepAlive, Sse};
+use serde::Serialize;
+use slam::FrameReport;
+use slam::map::{KeyframeId, PrimitiveId};
+use std::convert::Infallible;
+use tokio_stream::wrappers::ReceiverStream;
+use tokio_stream::{Stream, StreamExt};
+use utoipa::ToSchema;
+
+/// Data of an event `frame`: a frame was tracked, or tried to be.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub(super) struct FrameEvent {
+    /// The client's number of the frame.
+    sequence: u64,
+    /// The client's time of the frame, nanoseconds.
+    timestamp_ns: i64,
+    /// How tracking ended.
+    state: TrackingState,
+    /// Why there is no pose, or a weak one, in a plain sentence. Empty when tracked.
+    reason: String,
+    /// The camera's pose in the world; `null` while there is none.
+    world_from_camera: Option<Pose>,
+    /// What a length of 1 means.
+    scale: Scale,
+    /// The submap whose frame of reference the pose is in.
+    submap_id: u32,
+    /// The frame became a key frame.
+    is_key_frame: bool,
+    /// The pose was found by recognising the place.
+    relocalised: bool,
+}
+
+/// Data of an event `map`: the map was changed. It is in the database a moment later.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub(super) struct MapEvent {
+    /// Key frames that are new, moved, or see other landmarks than before.
+    changed_keyframes: Vec<u64>,
+    /// Key frames that were removed.
+    removed_keyframes: Vec<u64>,
+    /// Points that are new or changed.
+    n_changed_points: usize,
+    /// Points that were removed.
+    n_removed_points: usize,
+    /// Lines that are new or changed.
+    n_changed_lines: usize,
+    /// Lines that were removed.
+    n_removed_lines: usize,
+    /// Global primitives that are new or changed.
+    changed_primitives: Vec<u64>,
+    /// Global primitives that were removed.
+    removed_primitives: Vec<u64>,
+    /// Key frames there are now.
+    n_keyframes: usize,
+    /// Points there are now.
+    n_points: usize,
+    /// Lines there are now.
+    n_lines: usize,
+    /// Global primitives there are now.
+    n_primitives: usize,
+}
+
+/// Data of an event `missed`: events were left out because the client did not read them.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub(super) struct MissedEvent {
+    /// How many.
+    n_events: u64,
+}
+
+impl FrameEvent {
+    fn new(report: &FrameReport, units: Units) -> Self {
+        Self {
+            sequence: report.sequence,
+            timestamp_ns: report.timestamp_ns,
+            state: report.outcome.state().into(),
+            reason: report.outcome.reason(),
+            world_from_camera: report.world_from_camera.as_ref().map(|pose| units.pose(pose)),
+            scale: units.scale(),
+            submap_id: report.submap.0,
+            is_key_frame: report.is_keyframe,
+            relocalised: report.relocalised,
+        }
+    }
+}
+
+impl From<&MapChange> for MapEvent {
+    fn from(change: &MapChange) -> Self {
+        let keyframes = |ids: &[KeyframeId]| ids.iter().map(|id| id.get()).collect();
+        let primitives = |ids: &[PrimitiveId]| ids.iter().map(|id| id.get()).collect();
+        let [n_changed_points, n_removed_points] = change.n_points;
+        let [n_changed_lines, n_removed_lines] = change.n_lines;
+        let [n_keyframes, n_points, n_lines, n_primitives] = change.totals;
+        Self {
+            changed_keyframes: keyframes(&change.changed_keyframes),
+            removed_keyframes: keyframes(&change.removed_keyframes),
+            n_changed_points,
+            n_removed_points,
+            n_changed_lines,
+            n_removed_lines,
+            changed_primitives: primitives(&change.changed_primitives),
+            removed_primitives: primitives(&change.removed_primitives),
+            n_keyframes,
+            n_points,
+            n_lines,
+            n_primitives,
+        }
+    }
+}
+
+/// What happens in the session from now on, as server-sent events: `session` (the session as it is now, and after its
+/// options or scale were changed), `frame`, `map` and `missed`, each with a JSON object as its data. Ends when the
+/// session is deleted or the server shuts down.
+#[utoipa::path(get, path = "/v1/sessions/{id}/events", tag = "sessions",
+    params(("id", description = "The session's id")), responses(
+    (status = 200, description = "The events", content(
+        (Session = "text/event-stream"), (FrameEvent = "text/event-stream; event=frame"),
+        (MapEvent = "text/event-stream; event=map"), (MissedEvent = "text/event-stream; event=missed"))),
+    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json")
+))]
+pub(super) async fn events(
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, ApiError> {
+    let id = SessionId::parse(&id, "id")?;
+    let watched = ReceiverStream::new(watch(app.service.clone(), id).await?);
+    // An error ends the stream, which its reader notices.
+    let events = watched.filter_map(|watched| event(watched.ok()?)).map(Ok);
+    Ok(Sse::new(events).keep_alive(KeepAlive::default()))
+}
+
+fn event(watched: Watched) -> Option<Event> {
+    let event = match watched {
+        Watched::Session(view) => Event::default().event("session").json_data(Session::from(*view)),
+        Watched::Missed(n_events) => Event::default().event("missed").json_data(MissedEvent { n_events }),
+        Watched::Event(SessionEvent::Frame { report, metres_per_unit }) => {
+            let frame = FrameEvent::new(&report, Units::new(metres_per_unit));
+            Event::default().event("frame").json_data(frame)
+        }
+        Watched::Event(SessionEvent::Map(change)) => {
+            Event::default().event("map").json_data(MapEvent::from(&*change))
+        }
+        // Whoever is told of new settings is sent the session.
+        Watched::Event(SessionEvent::Settings) => return None,
+    };
+    event.ok()
+}

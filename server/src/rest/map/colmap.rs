@@ -1,0 +1,170 @@
+//! COLMAP's sparse model as text <https://colmap.github.io/format.html>.
+//!
+//! Poses are camera_from_world there as in the map, with the same axes. Pixels are not: COLMAP's origin is the corner of
+//! the top-left pixel, the map's its centre, so everything in pixels moves by half a pixel.
+
+use super::{Export, Part};
+use crate::error::ApiError;
+use crate::options::engine_config;
+use geometry::{CameraModel, CameraParameters};
+use slam::map::KeyframeId;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+/// From the centre of the top-left pixel to its corner, pixels.
+const HALF_PIXEL: f64 = 0.5;
+
+/// Points have no colour in the map.
+const GREY: &str = "200 200 200";
+
+/// COLMAP's mark for an error that was not computed.
+const NO_ERROR: &str = "-1";
+
+pub(super) async fn write(export: &mut Export, part: Part) -> Result<(), ApiError> {
+    match part {
+        Part::Cameras => {
+            let camera = camera_line(&export.snapshot.record().camera);
+            let head = "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n";
+            export.out.write(head).await?;
+            export.out.write(&camera).await
+        }
+        Part::Images => write_images(export).await,
+        Part::Points3D => write_points(export).await,
+    }
+}
+
+fn camera_line(camera: &CameraParameters) -> String {
+    let CameraParameters { model, width, height, fx, fy, cx, cy, distortion } = camera;
+    let mut coefficients = distortion.clone();
+    let name = match model {
+        CameraModel::Pinhole => "PINHOLE",
+        CameraModel::Radtan if distortion.len() <= 4 => {
+            coefficients.resize(4, 0.0);
+            "OPENCV"
+        }
+        CameraModel::Radtan => {
+            coefficients.resize(8, 0.0);
+            "FULL_OPENCV"
+        }
+        CameraModel::KannalaBrandt => "OPENCV_FISHEYE",
+        CameraModel::Fov => "FOV",
+    };
+    let (cx, cy) = (cx + HALF_PIXEL, cy + HALF_PIXEL);
+    let mut line = format!("1 {name} {width} {height} {fx} {fy} {cx} {cy}");
+    for coefficient in coefficients {
+        let _ = write!(line, " {coefficient}");
+    }
+    line.push('\n');
+    line
+}
+
+/// Which point each keypoint sees, by key frame.
+type Sightings = BTreeMap<KeyframeId, BTreeMap<u32, u64>>;
+
+async fn read_sightings(export: &mut Export) -> Result<Sightings, ApiError> {
+    let (mut sightings, mut after) = (Sightings::new(), None);
+    loop {
+        let points = export.snapshot.points_after(after, export.submap).await?;
+        let Some(last) = points.last() else { return Ok(sightings) };
+        after = Some(last.id);
+        for point in &points {
+            for seen in &point.observations {
+                sightings.entry(seen.keyframe).or_default().insert(seen.feature_idx, point.id.get());
+            }
+        }
+    }
+}
+
+async fn write_images(export: &mut Export) -> Result<(), ApiError> {
+    let head = "# Image list with two lines of data per image:\n\
+                #   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n\
+                #   POINTS2D[] as (X, Y, POINT3D_ID)\n";
+    export.out.write(head).await?;
+    let sightings = read_sightings(export).await?;
+    let [factor_x, factor_y] = full_from_working(export)?;
+    let wanted = export.submap;
+    let mut after = None;
+    loop {
+        let records = export.snapshot.keyframes_after(after).await?;
+        let Some(last) = records.last() else { return Ok(()) };
+        after = Some(last.id);
+        for record in records.iter().filter(|record| wanted.is_none_or(|wanted| wanted == record.submap)) {
+            let pose = export.units.pose(&record.camera_from_world);
+            let id = record.id.get();
+            let mut text = format!(
+                "{id} {} {} {} {} {} {} {} 1 keyframe_{id:06}\n",
+                pose.qw, pose.qx, pose.qy, pose.qz, pose.tx, pose.ty, pose.tz
+            );
+            let seen = sightings.get(&record.id);
+            for (idx, [x, y]) in export.snapshot.keypoints(record.id).await?.into_iter().enumerate() {
+                let x = (f64::from(x) + HALF_PIXEL) * factor_x;
+                let y = (f64::from(y) + HALF_PIXEL) * factor_y;
+                let separator = if idx == 0 { "" } else { " " };
+                let _ = match seen.and_then(|seen| seen.get(&(idx as u32))) {
+                    Some(point) => write!(text, "{separator}{x:.3} {y:.3} {point}"),
+                    None => write!(text, "{separator}{x:.3} {y:.3} -1"),
+                };
+            }
+            text.push('\n');
+            export.out.write(&text).await?;
+        }
+    }
+}
+
+/// Pixels of the session's camera per pixel of the working image that keypoints are measured in.
+fn full_from_working(export: &Export) -> Result<[f64; 2], ApiError> {
+    let record = export.snapshot.record();
+    let camera = record.checked_camera()?;
+    let working = engine_config(&record.options)?.working_camera(&camera);
+    let factor = |full: u32, working: u32| f64::from(full) / f64::from(working);
+    Ok([factor(camera.width(), working.width()), factor(camera.height(), working.height())])
+}
+
+async fn write_points(export: &mut Export) -> Result<(), ApiError> {
+    let head = "# 3D point list with one line of data per point:\n\
+                #   POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n";
+    export.out.write(head).await?;
+    let mut after = None;
+    loop {
+        let points = export.snapshot.points_after(after, export.submap).await?;
+        let Some(last) = points.last() else { return Ok(()) };
+        after = Some(last.id);
+        let mut text = String::new();
+        for point in &points {
+            let [x, y, z] = export.units.position(&point.position);
+            let _ = write!(text, "{} {x} {y} {z} {GREY} {NO_ERROR}", point.id);
+            for seen in &point.observations {
+                let _ = write!(text, " {} {}", seen.keyframe, seen.feature_idx);
+            }
+            text.push('\n');
+        }
+        export.out.write(&text).await?;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_are_named_and_moved_by_half_a_pixel() {
+        let camera = |model, distortion: &[f64]| CameraParameters {
+            model,
+            width: 640,
+            height: 480,
+            fx: 500.0,
+            fy: 501.5,
+            cx: 319.5,
+            cy: 239.0,
+            distortion: distortion.to_vec(),
+        };
+        let line = |model, distortion: &[f64]| camera_line(&camera(model, distortion));
+        assert_eq!(line(CameraModel::Pinhole, &[]), "1 PINHOLE 640 480 500 501.5 320 239.5\n");
+        let opencv = "1 OPENCV 640 480 500 501.5 320 239.5 0.1 -0.2 0 0.001\n";
+        assert_eq!(line(CameraModel::Radtan, &[0.1, -0.2, 0.0, 0.001]), opencv);
+        let full = line(CameraModel::Radtan, &[0.1, -0.2, 0.0, 0.001, 3.0]);
+        assert_eq!(full, "1 FULL_OPENCV 640 480 500 501.5 320 239.5 0.1 -0.2 0 0.001 3 0 0 0\n");
+        assert!(line(CameraModel::Fov, &[0.9]).starts_with("1 FOV "));
+        assert!(line(CameraModel::KannalaBrandt, &[0.0; 4]).starts_with("1 OPENCV_FISHEYE "));
+    }
+}

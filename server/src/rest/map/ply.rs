@@ -1,0 +1,75 @@
+//! Polygon file format, ASCII 1.0 (Turk 1994): points, then the ends of the lines, as vertices; lines as edges.
+
+use super::Export;
+use crate::error::ApiError;
+use slam::map::PrimitiveId;
+use std::fmt::Write;
+
+type Colour = [u8; 3];
+
+/// Points.
+const GREY: Colour = [200, 200, 200];
+/// Lines without a primitive.
+const BLUE: Colour = [70, 130, 220];
+/// Lines with one: colours that follow one another differ clearly.
+const PALETTE: [Colour; 6] =
+    [[230, 60, 60], [60, 180, 75], [245, 165, 30], [150, 60, 200], [70, 200, 200], [220, 90, 180]];
+
+pub(super) async fn write(export: &mut Export) -> Result<(), ApiError> {
+    let (n_points, n_lines) = export.snapshot.n_landmarks(export.submap).await?;
+    let scale = match export.units.scale() {
+        crate::rest::model::Scale::Metric => "metres",
+        crate::rest::model::Scale::UpToScale => "map units",
+    };
+    let head = format!(
+        "ply\nformat ascii 1.0\ncomment points as vertices, lines as edges; lengths in {scale}\n\
+         element vertex {}\nproperty double x\nproperty double y\nproperty double z\n\
+         property uchar red\nproperty uchar green\nproperty uchar blue\n\
+         element edge {n_lines}\nproperty int vertex1\nproperty int vertex2\nend_header\n",
+        n_points + 2 * n_lines
+    );
+    export.out.write(&head).await?;
+    write_points(export).await?;
+    write_ends(export).await?;
+    for line in 0..n_lines {
+        let first = n_points + 2 * line;
+        export.out.write(&format!("{first} {}\n", first + 1)).await?;
+    }
+    Ok(())
+}
+
+async fn write_points(export: &mut Export) -> Result<(), ApiError> {
+    let mut after = None;
+    loop {
+        let points = export.snapshot.points_after(after, export.submap).await?;
+        let Some(last) = points.last() else { return Ok(()) };
+        after = Some(last.id);
+        let mut text = String::new();
+        points.iter().for_each(|point| push_vertex(&mut text, export.units.position(&point.position), GREY));
+        export.out.write(&text).await?;
+    }
+}
+
+async fn write_ends(export: &mut Export) -> Result<(), ApiError> {
+    let mut after = None;
+    loop {
+        let lines = export.snapshot.lines_after(after, export.submap).await?;
+        let Some(last) = lines.last() else { return Ok(()) };
+        after = Some(last.id);
+        let mut text = String::new();
+        for line in &lines {
+            let colour = line.primitive.map_or(BLUE, colour_of);
+            line.endpoints.iter().for_each(|end| push_vertex(&mut text, export.units.position(end), colour));
+        }
+        export.out.write(&text).await?;
+    }
+}
+
+fn colour_of(primitive: PrimitiveId) -> Colour {
+    PALETTE[(primitive.get() % PALETTE.len() as u64) as usize]
+}
+
+fn push_vertex(text: &mut String, [x, y, z]: [f64; 3], [red, green, blue]: Colour) {
+    // Writing to a string cannot fail.
+    let _ = writeln!(text, "{x} {y} {z} {red} {green} {blue}");
+}

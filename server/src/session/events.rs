@@ -1,0 +1,95 @@
+//! What happens in a session, for whoever watches.
+
+use slam::map::{KeyframeId, PrimitiveId};
+use slam::{FrameReport, MapUpdate};
+use std::sync::Arc;
+use tokio::sync::broadcast;
+
+/// Events kept for a watcher that does not read: two seconds of video. What a slower one misses it is told.
+const CAPACITY: usize = 64;
+
+/// Something that happened in a session.
+#[derive(Clone, Debug)]
+pub enum SessionEvent {
+    /// A frame was tracked, or tried to be.
+    Frame {
+        /// What came of it.
+        report: Arc<FrameReport>,
+        /// Metres per map unit; `None` while the scale is free.
+        metres_per_unit: Option<f64>,
+    },
+    /// The map was changed.
+    Map(Arc<MapChange>),
+    /// The session's options or scale were changed.
+    Settings,
+}
+
+/// In which way a map was changed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MapChange {
+    /// Key frames that are new, moved, or see other landmarks than before.
+    pub changed_keyframes: Vec<KeyframeId>,
+    /// Key frames that were removed.
+    pub removed_keyframes: Vec<KeyframeId>,
+    /// Points that are new or changed, and points that were removed.
+    pub n_points: [usize; 2],
+    /// Lines that are new or changed, and lines that were removed.
+    pub n_lines: [usize; 2],
+    /// Global primitives that are new or changed.
+    pub changed_primitives: Vec<PrimitiveId>,
+    /// Global primitives that were removed.
+    pub removed_primitives: Vec<PrimitiveId>,
+    /// Key frames, points, lines and primitives the map has now.
+    pub totals: [usize; 4],
+}
+
+impl MapChange {
+    fn of(update: &MapUpdate) -> Self {
+        let (changes, map) = (&update.changes, &update.map);
+        Self {
+            changed_keyframes: changes.keyframes.iter().copied().collect(),
+            removed_keyframes: changes.removed_keyframes.iter().copied().collect(),
+            n_points: [changes.points.len(), changes.removed_points.len()],
+            n_lines: [changes.lines.len(), changes.removed_lines.len()],
+            changed_primitives: changes.primitives.iter().copied().collect(),
+            removed_primitives: changes.removed_primitives.iter().copied().collect(),
+            totals: [map.n_keyframes(), map.n_points(), map.n_lines(), map.n_primitives()],
+        }
+    }
+}
+
+/// Where a session's events go. Costs next to nothing while nobody watches.
+#[derive(Clone, Debug)]
+pub struct Events(broadcast::Sender<SessionEvent>);
+
+impl Default for Events {
+    fn default() -> Self {
+        Self(broadcast::Sender::new(CAPACITY))
+    }
+}
+
+impl Events {
+    /// The events from now on.
+    pub fn watch(&self) -> broadcast::Receiver<SessionEvent> {
+        self.0.subscribe()
+    }
+
+    /// A frame was tracked, or tried to be.
+    pub fn frame(&self, report: &FrameReport, metres_per_unit: Option<f64>) {
+        if self.0.receiver_count() > 0 {
+            let _ = self.0.send(SessionEvent::Frame { report: Arc::new(report.clone()), metres_per_unit });
+        }
+    }
+
+    /// The map was changed.
+    pub fn map(&self, update: &MapUpdate) {
+        if self.0.receiver_count() > 0 && !update.changes.is_empty() {
+            let _ = self.0.send(SessionEvent::Map(Arc::new(MapChange::of(update))));
+        }
+    }
+
+    /// The options or the scale were changed.
+    pub fn settings(&self) {
+        let _ = self.0.send(SessionEvent::Settings);
+    }
+}

@@ -1,0 +1,58 @@
+//! Locating one image in a stored map.
+//!
+//! The image goes through an engine of its own, made of the map's last commit and thrown away afterwards. So nothing of
+//! the session changes, a connected writer is neither in the way nor disturbed, and the same image gives the same answer
+//! whatever was asked before.
+
+use super::decoder;
+use super::frame::SentImage;
+use super::load::{self, LoadContext};
+use crate::error::ApiError;
+use slam::FrameReport;
+use std::time::Instant;
+use vision::decode::DecodeLimits;
+
+/// Where an image was taken, or why that is not known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Located {
+    /// What came of the image.
+    pub report: FrameReport,
+    /// Metres per map unit; `None` while the scale is free.
+    pub metres_per_unit: Option<f64>,
+    /// The map is as of this frame.
+    pub durable_sequence: Option<u64>,
+    /// Nanoseconds to read the map and to make it ready.
+    pub load_ns: u64,
+    /// Nanoseconds to locate the image in it.
+    pub locate_ns: u64,
+}
+
+/// Locates an image.
+///
+/// # Errors
+/// If the image cannot be used, or the session not be read. A place that is not found is no error.
+pub async fn localise(
+    context: &LoadContext<'_>,
+    image: SentImage,
+    limits: DecodeLimits,
+) -> Result<Located, ApiError> {
+    let begin = Instant::now();
+    let stored = load::read(context).await?;
+    let (metres_per_unit, last_frame) = (stored.metres_per_unit, stored.last_frame());
+    let locate = move || {
+        let image = decoder::decode_image(&image, &limits)
+            .map_err(|refusal| ApiError::invalid(refusal.field, refusal.reason))?;
+        let mut pipeline = load::resume_to_locate(stored)?;
+        let load_ns = begin.elapsed().as_nanos() as u64;
+        let frame = slam::Frame { sequence: 0, timestamp_ns: 0, image };
+        let report = pipeline.process_frame(frame).map_err(|error| {
+            let refusal = decoder::rejection_of(&error, 0);
+            ApiError::invalid(refusal.field, refusal.reason)
+        })?;
+        let locate_ns = (begin.elapsed().as_nanos() as u64).saturating_sub(load_ns);
+        let durable_sequence = last_frame.map(|(sequence, _)| sequence);
+        Ok(Located { report, metres_per_unit, durable_sequence, load_ns, locate_ns })
+    };
+    // A panic of the engine is an internal error of this call.
+    tokio::task::spawn_blocking(locate).await.map_err(ApiError::internal)?
+}

@@ -1,0 +1,77 @@
+//! How lines are followed and mapped.
+
+use vision::lines::LineDetectorConfig;
+
+/// Following and mapping lines. [ALGORITHMS 3, 5; paper, "Global Structure Association"]
+#[derive(Clone, Debug, PartialEq)]
+pub struct LineConfig {
+    /// How segments are detected.
+    pub detector: LineDetectorConfig,
+    /// Least standard deviation of a segment's ends across it, pixels. Default 0.4: on POV office segments lie 0.07 pixels
+    /// from the true lines in the median and 0.3 in nine of ten cases.
+    pub min_sigma_px: f64,
+    /// Largest distance of a segment's ends from where a line is expected, pixels. Default 8.
+    pub search_radius_px: f64,
+    /// Largest angle between a segment and the expected one, degrees. Default 8.
+    pub search_angle_deg: f64,
+    /// Least overlap of a segment with the expected one, as a share of the shorter. Default 0.3.
+    pub min_search_overlap: f64,
+    /// Largest Hamming distance of the descriptors. Default 90 of 256: geometry decides first.
+    pub max_descriptor_distance: u32,
+    /// Views in which a line must have been tracked to be made. Default 3: any two views agree on some line.
+    pub min_views: usize,
+    /// Least angle between the interpretation planes of a new line's best two views, degrees. Default 1.0, as for points:
+    /// below it the errors of the poses themselves decide the depth.
+    pub min_plane_angle_deg: f64,
+    /// Largest standard deviation of a new line's depth at its ends, as a share of the depth. Default 0.2: it grows
+    /// without bound where the segments lie along the epipolar lines.
+    pub max_depth_sigma_share: f64,
+    /// Reprojection: largest distance between the midpoints of segment and projection, pixels (θ of the paper).
+    /// Default 60: fragments of one edge have different midpoints.
+    pub max_midpoint_distance_px: f64,
+    /// Reprojection: largest distance of the segment's ends from the projection, pixels (d of the paper). Default 4.
+    pub max_end_distance_px: f64,
+    /// Sensitivity: largest angle by which the line may depart from being seen squarely, degrees (α of the paper).
+    /// Default 75.
+    pub max_sensitivity_deg: f64,
+    /// Overlap: least share of the segment that the projection covers (r of the paper). Default 0.3.
+    pub min_overlap: f64,
+    /// Depth at which a line may lie at most, in median depths of the scene. Default 20.
+    pub max_depth_share: f64,
+    /// A young line found in less than this share of the frames that should see it goes. Default 0.25.
+    pub min_found_ratio: f64,
+    /// Key frames after which a line must have been seen by three. Default 3.
+    pub probation_keyframes: u64,
+    /// Neighbours whose lines are looked for in a new key frame, to be joined. Default 10.
+    pub n_fusion_neighbours: usize,
+    /// Largest angle between two lines that are joined, degrees. Default 5.
+    pub fusion_angle_deg: f64,
+    /// Largest distance of one line's projected ends from the other's projection to be joined, pixels. Default 2.
+    pub fusion_distance_px: f64,
+}
+
+impl Default for LineConfig {
+    fn default() -> Self {
+        Self {
+            detector: LineDetectorConfig::default(),
+            min_sigma_px: 0.4,
+            search_radius_px: 8.0,
+            search_angle_deg: 8.0,
+            min_search_overlap: 0.3,
+            max_descriptor_distance: 90,
+            min_views: 3,
+            min_plane_angle_deg: 1.0,
+            max_depth_sigma_share: 0.2,
+            max_midpoint_distance_px: 60.0,
+            max_end_distance_px: 4.0,
+            max_sensitivity_deg: 75.0,
+            min_overlap: 0.3,
+            max_depth_share: 20.0,
+            min_found_ratio: 0.25,
+            probation_keyframes: 3,
+            n_fusion_neighbours: 10,
+            fusion_angle_deg: 5.0,
+            fusion_distance_px: 2.0,
+        }
+    }
+}

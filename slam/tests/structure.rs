@@ -1,0 +1,150 @@
+//! Lines and global primitives of rendered rooms against the true segments and directions.
+
+use geometry::nalgebra::Vector3;
+use geometry::{Direction, Similarity};
+use slam::map::{KeyframeId, LineLandmark};
+use slam::{FeatureSwitches, Frame, FrameReport, Map, NoClock, Pipeline, ResumeState, SlamConfig, Threading};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use synthetic::{Preset, Sequence};
+use vision::GrayImage;
+
+const N_FRAMES: usize = 150;
+
+fn pipeline(sequence: &Sequence, features: FeatureSwitches, state: ResumeState) -> Pipeline {
+    let config = SlamConfig { threading: Threading::Inline, seed: 3, features, ..SlamConfig::default() };
+    Pipeline::resume(config, sequence.camera().clone(), Arc::new(NoClock), state).unwrap()
+}
+
+fn run(pipeline: &mut Pipeline, sequence: &Sequence, frames: std::ops::Range<usize>) -> Vec<FrameReport> {
+    let reports = frames
+        .map(|index| {
+            let rendered = sequence.frame(index).image;
+            let image =
+                GrayImage::from_raw(rendered.width(), rendered.height(), rendered.into_pixels()).unwrap();
+            let timestamp_ns = index as i64 * 33_333_333;
+            let report =
+                pipeline.process_frame(Frame { sequence: index as u64, timestamp_ns, image }).unwrap();
+            pipeline.take_updates().iter().for_each(|update| update.map.check().unwrap());
+            report
+        })
+        .collect();
+    pipeline.finish();
+    reports
+}
+
+/// Takes the map to the true world: a similarity over the key frames' positions, with the mean of their attitudes.
+fn truth_from_map(map: &Map, sequence: &Sequence) -> Similarity {
+    let index: BTreeMap<KeyframeId, usize> =
+        map.keyframes().map(|keyframe| (keyframe.id, keyframe.sequence as usize)).collect();
+    let estimate: Vec<Vector3<f64>> =
+        map.keyframes().map(|keyframe| keyframe.camera_from_world.centre()).collect();
+    let truth: Vec<Vector3<f64>> =
+        index.values().map(|index| sequence.camera_from_world(*index).centre()).collect();
+    Similarity::from_correspondences(&estimate, &truth, true).unwrap()
+}
+
+/// Angle to the nearest true segment that runs along it, degrees, and distance of its middle from that segment's line.
+fn error_of(line: &LineLandmark, truth_from_map: &Similarity, sequence: &Sequence) -> Option<(f64, f64)> {
+    let ends = line.endpoints.map(|end| truth_from_map.transform(&end));
+    let direction = (ends[1] - ends[0]).normalize();
+    let middle = (ends[0] + ends[1]) / 2.0;
+    let of_segment = |a: &Vector3<f64>, b: &Vector3<f64>| {
+        let along = (b - a).normalize();
+        let angle = along.cross(&direction).norm().atan2(along.dot(&direction).abs()).to_degrees();
+        (angle, (middle - a).cross(&along).norm())
+    };
+    let errors = sequence.world().segments().iter().map(|segment| of_segment(&segment.start, &segment.end));
+    errors.filter(|(angle, _)| *angle < 10.0).min_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+#[test]
+fn lines_of_a_poor_room_lie_on_its_edges() {
+    let sequence = Sequence::preset(Preset::RoomPoor, 1);
+    let mut pipeline = pipeline(&sequence, FeatureSwitches::default(), ResumeState::default());
+    let reports = run(&mut pipeline, &sequence, 0..N_FRAMES);
+    let map = pipeline.map();
+    assert!(map.n_lines() >= 20, "only {} lines", map.n_lines());
+    assert!(reports.iter().filter(|report| report.n_inlier_lines >= 5).count() > N_FRAMES / 2);
+
+    let truth_from_map = truth_from_map(&map, &sequence);
+    let errors: Vec<(f64, f64)> =
+        map.lines().filter_map(|line| error_of(line, &truth_from_map, &sequence)).collect();
+    let n_right = errors.iter().filter(|(angle, distance)| *angle < 1.0 && *distance < 0.02).count();
+    let share = n_right as f64 / map.n_lines() as f64;
+    let mut distances: Vec<f64> = errors.iter().map(|(_, distance)| *distance).collect();
+    distances.sort_by(f64::total_cmp);
+    let median = distances[distances.len() / 2];
+    println!(
+        "{} lines, {:.0} % within 1 degree and 2 cm, median distance {median:.4} m",
+        map.n_lines(),
+        100.0 * share
+    );
+    assert!(
+        share >= 0.5 && median < 0.02,
+        "{share:.2} within 1 degree and 2 cm, median distance {median:.4} m"
+    );
+}
+
+#[test]
+fn the_directions_of_a_room_become_one_primitive_each() {
+    let sequence = Sequence::preset(Preset::RoomPoor, 2);
+    let mut pipeline = pipeline(&sequence, FeatureSwitches::default(), ResumeState::default());
+    run(&mut pipeline, &sequence, 0..N_FRAMES);
+    let map = pipeline.map();
+    let truth_from_map = truth_from_map(&map, &sequence);
+    let truths = sequence.world().vanishing_directions();
+    let mut n_spurious = 0;
+    let mut found: BTreeMap<usize, usize> = BTreeMap::new();
+    for primitive in map.primitives() {
+        let direction = Direction::new(truth_from_map.rotation * primitive.direction.as_vector()).unwrap();
+        let nearest =
+            truths.iter().enumerate().map(|(idx, truth)| (truth.angle(&direction).to_degrees(), idx));
+        let (angle, idx) = nearest.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
+        println!(
+            "primitive {} of {} key frames: {angle:.2} degrees off",
+            primitive.id,
+            primitive.observations.len()
+        );
+        if angle < 1.5 {
+            *found.entry(idx).or_default() += 1;
+        } else {
+            n_spurious += 1;
+        }
+    }
+    assert!(found.len() >= 2, "only {} of {} directions found", found.len(), truths.len());
+    assert!(found.values().all(|n| *n == 1), "a direction became several primitives: {found:?}");
+    assert!(n_spurious <= 1, "{n_spurious} spurious primitives");
+    assert!(map.lines().filter(|line| line.primitive.is_some()).count() >= 5);
+}
+
+#[test]
+fn a_restored_session_goes_on_with_its_lines_and_primitives() {
+    let sequence = Sequence::preset(Preset::RoomPoor, 1);
+    let mut first = pipeline(&sequence, FeatureSwitches::default(), ResumeState::default());
+    run(&mut first, &sequence, 0..100);
+    let map = first.map();
+    assert!(map.n_lines() > 0);
+    let state = ResumeState { map: map.to_parts(), last_frame: Some((99, 99 * 33_333_333)) };
+    let mut second = pipeline(&sequence, FeatureSwitches::default(), state);
+    assert_eq!((second.map().n_lines(), second.map().n_primitives()), (map.n_lines(), map.n_primitives()));
+    let reports = run(&mut second, &sequence, 100..120);
+    assert!(reports.iter().any(|report| report.n_inlier_lines >= 5), "no frame sees the stored lines");
+}
+
+#[test]
+fn switched_off_features_leave_no_trace() {
+    let sequence = Sequence::preset(Preset::RoomPoor, 1);
+    let switches = FeatureSwitches { lines: false, global_primitives: false, ..FeatureSwitches::default() };
+    let mut points_only = pipeline(&sequence, switches, ResumeState::default());
+    let reports = run(&mut points_only, &sequence, 0..60);
+    assert_eq!((points_only.map().n_lines(), points_only.map().n_primitives()), (0, 0));
+    assert!(reports.iter().all(|report| report.n_segments == 0));
+    let switches = FeatureSwitches { lines: true, global_primitives: false, ..FeatureSwitches::default() };
+    let mut with_lines = pipeline(&sequence, switches, ResumeState::default());
+    run(&mut with_lines, &sequence, 0..60);
+    assert!(with_lines.map().n_lines() > 0);
+    assert_eq!(with_lines.map().n_primitives(), 0);
+    let vanishing = with_lines.map().keyframes().map(|keyframe| keyframe.vanishing.len()).sum::<usize>();
+    assert_eq!(vanishing, 0, "without primitives nobody looks for vanishing points");
+}

@@ -1,0 +1,181 @@
+//! Which lines are where: pages and streams, found through the R*Tree and then looked at exactly.
+
+use super::geometry::{meets_ball, meets_box};
+use super::{LINE_COLUMNS, parse_line};
+use crate::points::cell::{MAX_POINT_ID, point_of_key};
+use crate::points::{push_cell_keys, region};
+use crate::session::session_number;
+use crate::{Bounds, Store, StoreError};
+use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
+use nalgebra::Vector3;
+use slam::map::{LineId, LineLandmark, PrimitiveId, SubmapId};
+use sqlx::{QueryBuilder, Row, SqliteConnection};
+
+/// Which lines are wanted; every condition given must hold for the part of the line that was seen. Bounds that are not
+/// finite numbers hold for none.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LineQuery {
+    /// Lines some part of which is in this box.
+    pub bounds: Option<Bounds>,
+    /// Lines some part of which is at most this far from this place, map units.
+    pub near: Option<(Vector3<f64>, f64)>,
+    /// Lines seen by at least so many key frames.
+    pub min_observations: u32,
+    /// Lines in this submap's frame of reference.
+    pub submap: Option<SubmapId>,
+    /// Lines with this primitive's direction.
+    pub primitive: Option<PrimitiveId>,
+}
+
+/// Some lines in the order of their ids.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LinePage {
+    /// The lines.
+    pub lines: Vec<LineLandmark>,
+    /// Pass this as `after` for the next page; `None` on the last one.
+    pub next: Option<LineId>,
+}
+
+/// Lines read at a time: a statement takes about a millisecond.
+const LINES_PER_STEP: usize = 512;
+
+impl LineQuery {
+    /// The conditions that the row and the tree do not answer.
+    fn holds_for(&self, line: &LineLandmark) -> bool {
+        self.bounds.is_none_or(|bounds| meets_box(&line.endpoints, &bounds))
+            && self.near.is_none_or(|(centre, radius)| meets_ball(&line.endpoints, &centre, radius))
+    }
+}
+
+impl Store {
+    /// Up to `page_size` of the wanted lines with ids above the given one.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn lines_page(
+        &self,
+        session: &str,
+        query: &LineQuery,
+        after: Option<LineId>,
+        page_size: u32,
+    ) -> Result<LinePage, StoreError> {
+        let mut reader = self.reader().await?;
+        let number = session_number(&mut reader, session).await?;
+        let after = after.map_or(0, |id| id.get().min(MAX_POINT_ID) as i64);
+        let mut cursor = LineCursor::new(&mut reader, number, *query, after).await?;
+        let (page_size, mut lines) = (page_size as usize, Vec::new());
+        while lines.len() <= page_size
+            && let Some(step) = cursor.step(&mut reader).await?
+        {
+            lines.extend(step);
+        }
+        let has_more = lines.len() > page_size;
+        lines.truncate(page_size);
+        let next = lines.last().filter(|_| has_more).map(|last| last.id);
+        Ok(LinePage { lines, next })
+    }
+
+    /// Every wanted line in the order of their ids.
+    ///
+    /// Reads as the stream goes on and holds nothing in between but, for a query with a place, the ids of the
+    /// candidates. Each line is from the last commit when it is read.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`], before the stream begins.
+    pub async fn lines(
+        &self,
+        session: &str,
+        query: LineQuery,
+    ) -> Result<BoxStream<'static, Result<LineLandmark, StoreError>>, StoreError> {
+        let mut reader = self.reader().await?;
+        let number = session_number(&mut reader, session).await?;
+        let cursor = LineCursor::new(&mut reader, number, query, 0).await?;
+        drop(reader);
+        let start = (self.clone(), cursor);
+        let steps = stream::try_unfold(start, |(store, mut cursor)| async move {
+            let step = cursor.step(&mut *store.reader().await?).await?;
+            let items = step.map(|lines| stream::iter(lines).map(Ok::<_, StoreError>));
+            Ok::<_, StoreError>(items.map(|items| (items, (store, cursor))))
+        });
+        Ok(steps.try_flatten().boxed())
+    }
+}
+
+/// How far the lines of a session have been read.
+pub(crate) struct LineCursor {
+    session: i64,
+    query: LineQuery,
+    /// Last id read, where there are no candidates.
+    after: i64,
+    /// Ids not yet looked at; `None` if every line is a candidate.
+    candidates: Option<std::vec::IntoIter<i64>>,
+}
+
+impl LineCursor {
+    /// Before the first line with an id above `after`.
+    pub async fn new(
+        connection: &mut SqliteConnection,
+        session: i64,
+        query: LineQuery,
+        after: i64,
+    ) -> Result<Self, StoreError> {
+        let candidates = match region(query.bounds, query.near) {
+            Some(region) => Some(select_candidates(connection, session, after, &region).await?.into_iter()),
+            None => None,
+        };
+        Ok(Self { session, query, after, candidates })
+    }
+
+    /// The next lines, possibly none of those looked at; `None` at the end.
+    pub async fn step(
+        &mut self,
+        connection: &mut SqliteConnection,
+    ) -> Result<Option<Vec<LineLandmark>>, StoreError> {
+        let mut sql = QueryBuilder::new("SELECT ");
+        sql.push(LINE_COLUMNS).push(" FROM lines WHERE session = ").push_bind(self.session);
+        if let Some(candidates) = &mut self.candidates {
+            let ids: Vec<i64> = candidates.by_ref().take(LINES_PER_STEP).collect();
+            if ids.is_empty() {
+                return Ok(None);
+            }
+            let list = crate::save::id_list(ids.iter().map(|id| *id as u64));
+            sql.push(" AND id IN (SELECT value FROM json_each(").push_bind(list).push("))");
+        } else {
+            sql.push(" AND id > ").push_bind(self.after);
+        }
+        if self.query.min_observations > 0 {
+            sql.push(" AND n_observations >= ").push_bind(self.query.min_observations);
+        }
+        if let Some(submap) = self.query.submap {
+            sql.push(" AND submap = ").push_bind(submap.0);
+        }
+        if let Some(primitive) = self.query.primitive {
+            sql.push(" AND primitive = ").push_bind(primitive.get() as i64);
+        }
+        sql.push(" ORDER BY id LIMIT ").push_bind(LINES_PER_STEP as i64);
+        let rows = sql.build().fetch_all(connection).await?;
+        let mut lines = rows.iter().map(parse_line).collect::<Result<Vec<_>, _>>()?;
+        if self.candidates.is_none() {
+            let Some(last) = lines.last() else { return Ok(None) };
+            self.after = last.id.get() as i64;
+        }
+        lines.retain(|line| self.query.holds_for(line));
+        Ok(Some(lines))
+    }
+}
+
+/// Ids above one, in order, of the lines whose boxes meet a box.
+async fn select_candidates(
+    connection: &mut SqliteConnection,
+    session: i64,
+    after: i64,
+    region: &Bounds,
+) -> Result<Vec<i64>, StoreError> {
+    let mut sql = QueryBuilder::new("");
+    push_cell_keys(&mut sql, "line_cells", session, after, region);
+    let rows = sql.build().fetch_all(connection).await?;
+    let mut ids =
+        rows.iter().map(|row| Ok(point_of_key(row.try_get(0)?))).collect::<Result<Vec<_>, StoreError>>()?;
+    ids.sort_unstable();
+    Ok(ids)
+}

@@ -1,0 +1,134 @@
+//! A whole map, piece by piece, as of one commit.
+
+use crate::blob::positions;
+use crate::keyframes::select_keyframes;
+use crate::lines::{LineCursor, LineQuery};
+use crate::number::{from_column, keyframe_column};
+use crate::points::select_points;
+use crate::primitives::read_primitives;
+use crate::session::read_session;
+use crate::{KeyframeRecord, PointQuery, SessionRecord, Store, StoreError};
+use slam::map::{GlobalPrimitive, KeyframeId, LineId, LineLandmark, PointId, PointLandmark, SubmapId};
+use sqlx::{AssertSqlSafe, Sqlite, SqliteConnection, Transaction};
+
+/// Points or key frames read at a time: a statement takes about a millisecond.
+const ROWS_PER_STEP: usize = 512;
+
+/// A session as of one commit, read in steps. While it lives the log cannot be folded into the file, so read it to the
+/// end without waiting for anything slow, such as a client.
+pub struct MapSnapshot {
+    transaction: Transaction<'static, Sqlite>,
+    session: i64,
+    record: SessionRecord,
+}
+
+impl Store {
+    /// A session as of the last commit.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn snapshot(&self, session: &str) -> Result<MapSnapshot, StoreError> {
+        let mut transaction = self.begin_read().await?;
+        let (session, record) = read_session(&mut transaction, session).await?;
+        Ok(MapSnapshot { transaction, session, record })
+    }
+}
+
+impl MapSnapshot {
+    /// The session.
+    pub fn record(&self) -> &SessionRecord {
+        &self.record
+    }
+
+    pub(crate) fn session(&self) -> i64 {
+        self.session
+    }
+
+    pub(crate) fn connection(&mut self) -> &mut SqliteConnection {
+        &mut self.transaction
+    }
+
+    /// Points and lines there are, of one submap or of all.
+    ///
+    /// # Errors
+    /// If the database cannot be read.
+    pub async fn n_landmarks(&mut self, submap: Option<SubmapId>) -> Result<(u64, u64), StoreError> {
+        let mut counts = [0; 2];
+        for (count, table) in counts.iter_mut().zip(["points", "lines"]) {
+            let sql =
+                format!("SELECT count(*) FROM {table} WHERE session = ?1 AND submap = ifnull(?2, submap)");
+            let n = sqlx::query_scalar(AssertSqlSafe(sql))
+                .bind(self.session)
+                .bind(submap.map(|submap| submap.0))
+                .fetch_one(&mut *self.transaction)
+                .await?;
+            *count = from_column("a count", n)?;
+        }
+        Ok(counts.into())
+    }
+
+    /// The next points with ids above the given one; none at the end.
+    ///
+    /// # Errors
+    /// If the database cannot be read.
+    pub async fn points_after(
+        &mut self,
+        after: Option<PointId>,
+        submap: Option<SubmapId>,
+    ) -> Result<Vec<PointLandmark>, StoreError> {
+        let query = PointQuery { submap, ..PointQuery::default() };
+        let after = after.map_or(0, |id| id.get() as i64);
+        select_points(&mut self.transaction, self.session, &query, after, ROWS_PER_STEP).await
+    }
+
+    /// The next lines with ids above the given one; none at the end.
+    ///
+    /// # Errors
+    /// If the database cannot be read.
+    pub async fn lines_after(
+        &mut self,
+        after: Option<LineId>,
+        submap: Option<SubmapId>,
+    ) -> Result<Vec<LineLandmark>, StoreError> {
+        let query = LineQuery { submap, ..LineQuery::default() };
+        let after = after.map_or(0, |id| id.get() as i64);
+        let mut cursor = LineCursor::new(&mut self.transaction, self.session, query, after).await?;
+        Ok(cursor.step(&mut self.transaction).await?.unwrap_or_default())
+    }
+
+    /// The next key frames with ids above the given one; none at the end.
+    ///
+    /// # Errors
+    /// If the database cannot be read.
+    pub async fn keyframes_after(
+        &mut self,
+        after: Option<KeyframeId>,
+    ) -> Result<Vec<KeyframeRecord>, StoreError> {
+        let first = after.map(keyframe_column).transpose()?.unwrap_or(0).saturating_add(1);
+        select_keyframes(&mut self.transaction, self.session, first, i64::MAX, ROWS_PER_STEP as i64).await
+    }
+
+    /// Every primitive; there are some dozens.
+    ///
+    /// # Errors
+    /// If the database cannot be read.
+    pub async fn primitives(&mut self) -> Result<Vec<GlobalPrimitive>, StoreError> {
+        read_primitives(&mut self.transaction, self.session).await
+    }
+
+    /// Where a key frame's keypoints are, pixels of the working image with the lens's distortion.
+    ///
+    /// # Errors
+    /// If the database cannot be read or the key frame's features are damaged.
+    pub async fn keypoints(&mut self, id: KeyframeId) -> Result<Vec<[f32; 2]>, StoreError> {
+        let features: Option<Vec<u8>> =
+            sqlx::query_scalar("SELECT features FROM keyframe_features WHERE session = ? AND keyframe = ?")
+                .bind(self.session)
+                .bind(keyframe_column(id)?)
+                .fetch_optional(&mut *self.transaction)
+                .await?;
+        let features =
+            features.ok_or_else(|| StoreError::Corrupt(format!("key frame {id} has no features")))?;
+        positions(&features).map_err(|error| StoreError::Corrupt(format!("key frame {id}: {error}")))
+    }
+}
