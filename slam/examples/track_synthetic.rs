@@ -59,10 +59,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         let report = pipeline.process_frame(frame)?;
         if flag("--verbose") {
             println!(
-                "{index} {:?} submap {} keypoints {} points {} lines {} keyframe {} {}",
+                "{index} {:?} submap {} keypoints {} segments {} points {} lines {} keyframe {} {}",
                 report.outcome.state(),
                 report.submap,
                 report.n_keypoints,
+                report.n_segments,
                 report.n_inlier_points,
                 report.n_inlier_lines,
                 report.is_keyframe,
@@ -71,6 +72,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         for event in &report.map_events {
             println!("frame {index}: {event:?}; {}", truth_of(event, &pipeline.map(), &sequence));
+        }
+        if report.relocalised {
+            println!(
+                "frame {index}: relocalised {}",
+                truth_of_place(&report, &pipeline.map(), &sequence, index)
+            );
         }
         run.note(&report);
         run.store(pipeline.take_updates());
@@ -95,6 +102,23 @@ fn truth_of(event: &MapEvent, map: &Map, sequence: &Sequence) -> String {
     let Some((a, b)) = pose(*keyframe).zip(pose(*matched)) else { return "culled since".to_owned() };
     let angle_deg = a.rotation.angle_to(&b.rotation).to_degrees();
     format!("truly {:.2} and {angle_deg:.1} deg apart", (a.centre() - b.centre()).norm())
+}
+
+/// How far the camera truly is from the key frame that it was found beside.
+fn truth_of_place(report: &FrameReport, map: &Map, sequence: &Sequence, index: usize) -> String {
+    let Some(world_from_camera) = report.world_from_camera else { return String::new() };
+    let distance = |centre: Vector3<f64>| (centre - world_from_camera.translation).norm();
+    let beside = map
+        .keyframes_of(report.submap)
+        .map(|keyframe| (distance(keyframe.camera_from_world.centre()), keyframe.sequence as usize))
+        .min_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, beside)) = beside else { return String::new() };
+    let truth = |index: usize| sequence.camera_from_world(index).centre();
+    let n_inliers = report.n_inlier_points + report.n_inlier_lines;
+    format!(
+        "by {n_inliers} landmarks beside frame {beside}, truly {:.2} apart",
+        (truth(index) - truth(beside)).norm()
+    )
 }
 
 /// Renders a frame, or takes it from a folder in which it was kept before.

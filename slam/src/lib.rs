@@ -6,6 +6,7 @@ mod backfill;
 pub mod bundle;
 pub mod clock;
 pub mod config;
+mod continuity;
 pub mod features;
 mod front_end;
 mod initialisation;
@@ -19,10 +20,10 @@ mod tracking;
 
 pub use clock::{Clock, NoClock};
 pub use config::{
-    ConfigError, FeatureSwitches, InitialisationConfig, KeyframeConfig, LineConfig, LoopConfig,
-    MappingConfig, PrimitiveConfig, RelocalisationConfig, SlamConfig, SubmapConfig, Threading,
+    ConfigError, ContinuityConfig, FeatureSwitches, InitialisationConfig, KeyframeConfig, LineConfig,
+    LoopConfig, MappingConfig, PrimitiveConfig, RelocalisationConfig, SlamConfig, SubmapConfig, Threading,
     TrackingConfig,
 };
 pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::{Frame, FrameError, Pipeline, ResumeError, ResumeState};
-pub use report::{FrameReport, InitialisationWait, LostReason, MapEvent, TrackingOutcome};
+pub use report::{FrameReport, InitialisationWait, LostReason, MapEvent, PoseUncertainty, TrackingOutcome};

@@ -2,6 +2,7 @@
 
 use crate::map::{FrameState, KeyframeId, SubmapId};
 use geometry::Pose;
+use std::fmt;
 use vision::lines::LineTrackingStatistics;
 
 /// Why there is no map yet. Its text is written for the person who holds the camera.
@@ -70,11 +71,13 @@ pub enum InitialisationWait {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum LostReason {
     /// The image shows nothing to hold on to.
-    #[error("too few features: {n_keypoints} keypoints, {n_required} needed")]
+    #[error("too few features: {n_keypoints} keypoints and {n_segments} segments, {n_required} needed")]
     TooFewFeatures {
         /// Keypoints found.
         n_keypoints: usize,
-        /// Keypoints needed.
+        /// Line segments found.
+        n_segments: usize,
+        /// Features needed.
         n_required: usize,
     },
     /// Too few landmarks were found again.
@@ -85,12 +88,40 @@ pub enum LostReason {
         /// Landmarks needed.
         n_required: usize,
     },
+    /// The landmarks found again leave the pose open.
+    #[error("the landmarks found again do not determine the pose: uncertain by {uncertainty}")]
+    Undetermined {
+        /// How well they determine it.
+        uncertainty: PoseUncertainty,
+    },
     /// No place in the map looks like the image.
     #[error("looking for a known place: {n_candidates} candidates, none fits")]
     NotRelocalised {
         /// Places that were tried.
         n_candidates: usize,
     },
+}
+
+/// How well a frame's landmarks determine its pose: standard deviations along the worst determined directions, as far as
+/// noise of the image alone is concerned.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseUncertainty {
+    /// Of the attitude, radians.
+    pub rotation_rad: f64,
+    /// Of the position, as a share of the median depth of what the frame sees.
+    pub position_share: f64,
+}
+
+impl PoseUncertainty {
+    /// Of a pose that the landmarks leave open.
+    pub const UNDETERMINED: Self = Self { rotation_rad: f64::INFINITY, position_share: f64::INFINITY };
+}
+
+impl fmt::Display for PoseUncertainty {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (degrees, percent) = (self.rotation_rad.to_degrees(), 100.0 * self.position_share);
+        write!(f, "{degrees:.2} degrees and {percent:.2} % of the distance of what is seen")
+    }
 }
 
 /// What tracking one frame came to. Losing track is an outcome, not an error.
@@ -100,12 +131,14 @@ pub enum TrackingOutcome {
     Initialising(InitialisationWait),
     /// The pose is good.
     Tracked,
-    /// The pose is poorly determined: fewer inliers than a key frame may rest on.
+    /// The pose is poorly determined: no key frame may rest on it.
     Weak {
         /// Landmarks that agree with the pose.
         n_inliers: usize,
         /// Landmarks a good pose needs.
         n_required: usize,
+        /// How well they determine it.
+        uncertainty: PoseUncertainty,
     },
     /// There is no pose.
     Lost(LostReason),
@@ -127,8 +160,10 @@ impl TrackingOutcome {
         match self {
             Self::Initialising(wait) => wait.to_string(),
             Self::Tracked => String::new(),
-            Self::Weak { n_inliers, n_required } => {
-                format!("weak pose: {n_inliers} landmarks agree, {n_required} needed for a good one")
+            Self::Weak { n_inliers, n_required, uncertainty } => {
+                format!(
+                    "weak pose: {n_inliers} landmarks agree, {n_required} needed for a good one; uncertain by {uncertainty}"
+                )
             }
             Self::Lost(reason) => reason.to_string(),
         }

@@ -1,10 +1,12 @@
 //! What a session runs with. Every field has a default, a unit and a reason.
 
+mod continuity;
 mod lines;
 mod loops;
 mod primitives;
 mod submaps;
 
+pub use continuity::ContinuityConfig;
 pub use lines::LineConfig;
 pub use loops::LoopConfig;
 pub use primitives::PrimitiveConfig;
@@ -69,6 +71,8 @@ pub struct SlamConfig {
     pub lines: LineConfig,
     /// Directions shared by key frames.
     pub primitives: PrimitiveConfig,
+    /// How far a lost camera can have gone.
+    pub continuity: ContinuityConfig,
     /// Recognising places and correcting the map by them.
     pub loops: LoopConfig,
     /// Beginning further pieces of map.
@@ -90,6 +94,7 @@ impl Default for SlamConfig {
             mapping: MappingConfig::default(),
             lines: LineConfig::default(),
             primitives: PrimitiveConfig::default(),
+            continuity: ContinuityConfig::default(),
             loops: LoopConfig::default(),
             submaps: SubmapConfig::default(),
         }
@@ -168,7 +173,7 @@ pub struct TrackingConfig {
     pub min_motion_matches: usize,
     /// Fewest matches with the reference key frame. Default 15.
     pub min_reference_matches: usize,
-    /// Fewest points that must agree with the first estimate of a pose. Default 10.
+    /// Fewest landmarks that must agree with the first estimate of a pose. Default 6, as for a weak pose.
     pub min_first_inliers: usize,
     /// Radius in which a point of the local map is looked for, pixels of its level. Default 4.
     pub map_search_radius_px: f64,
@@ -179,10 +184,28 @@ pub struct TrackingConfig {
     pub match_ratio: f32,
     /// Key frames of the local map at most. Default 80.
     pub max_local_keyframes: usize,
-    /// Points that must agree for a good pose. Default 30.
+    /// Landmarks that must agree for a good pose. Default 10: few edges and corners in general position determine a pose,
+    /// and whether they do is judged by its uncertainty.
     pub min_inliers: usize,
-    /// Points that must agree for a weak pose; fewer and the camera is lost. Default 15.
+    /// Landmarks that must agree for a weak pose; fewer and the camera is lost. Default 6: fewer
+    /// agree by chance.
     pub min_weak_inliers: usize,
+    /// Share of the landmarks that could be found again which a good or weak pose needs, between the numbers above and
+    /// `plentiful_inliers`. Default 0.2: true poses reach 0.3 and more, false ones 0.01.
+    pub min_found_share: f64,
+    /// Landmarks that are enough for a good pose however many were expected, and half of it for a weak one. Default 30:
+    /// blur and people in the way hide most.
+    pub plentiful_inliers: usize,
+    /// Largest standard deviation of a good pose's attitude, degrees. Default 0.4; textured places reach 0.02.
+    pub max_rotation_sigma_deg: f64,
+    /// Largest standard deviation of a good pose's position, as a share of the scene's median depth. Default 0.01;
+    /// textured places reach 0.0004.
+    pub max_position_sigma_share: f64,
+    /// How many times as uncertain a weak pose may be; beyond it the camera is lost. Default 5.
+    pub weak_sigma_factor: f64,
+    /// For how long a camera that was lost is looked for where it was heading, nanoseconds. Default 0.5 s: then people
+    /// have turned.
+    pub max_coasting_ns: i64,
 }
 
 impl Default for TrackingConfig {
@@ -191,13 +214,19 @@ impl Default for TrackingConfig {
             motion_search_radius_px: 15.0,
             min_motion_matches: 20,
             min_reference_matches: 15,
-            min_first_inliers: 10,
+            min_first_inliers: 6,
             map_search_radius_px: 4.0,
             max_view_angle_deg: 60.0,
             match_ratio: 0.8,
             max_local_keyframes: 80,
-            min_inliers: 30,
-            min_weak_inliers: 15,
+            min_inliers: 10,
+            min_weak_inliers: 6,
+            min_found_share: 0.2,
+            plentiful_inliers: 30,
+            max_rotation_sigma_deg: 0.4,
+            max_position_sigma_share: 0.01,
+            weak_sigma_factor: 5.0,
+            max_coasting_ns: 500_000_000,
         }
     }
 }
@@ -249,7 +278,7 @@ pub struct KeyframeConfig {
     pub min_followed_segments: usize,
     /// How many times the last key frame's segments ask for another. Default 1.3.
     pub risen_segments_share: f64,
-    /// Points a key frame must find at least. Default 15: it could not be placed on fewer.
+    /// Landmarks a key frame must find at least. Default 10, as for a good pose.
     pub min_inliers: usize,
     /// After this time a smaller change is enough for a key frame, nanoseconds. Default 1 s.
     pub max_interval_ns: i64,
@@ -270,7 +299,7 @@ impl Default for KeyframeConfig {
             min_followed_segments: 6,
             risen_segments_share: 1.3,
             max_tracked_share_after_wait: 0.97,
-            min_inliers: 15,
+            min_inliers: 10,
             max_interval_ns: 1_000_000_000,
             settle_frames: 5,
             max_keyframes: 2000,

@@ -16,6 +16,7 @@ mod verification;
 pub(crate) use correction::{Anchoring, apply_corrections};
 
 use crate::config::SlamConfig;
+use crate::continuity;
 use crate::map::{KeyframeId, Map, PointId, SubmapId};
 use crate::report::MapEvent;
 use detection::Detector;
@@ -83,6 +84,9 @@ impl LoopCloser {
         let matched = map.keyframe(recognition.matched)?.submap;
         if current == matched {
             Some(self.close_loop(map, &recognition, current))
+        } else if !self.can_merge(map, &recognition, current, matched) {
+            tracing::info!(keyframe = %id, matched = %recognition.matched, "looks like a place out of reach: not merged");
+            None
         } else {
             Some(self.merge(map, &recognition, current, matched))
         }
@@ -112,6 +116,18 @@ impl LoopCloser {
             scale: recognition.place_from_current.scale,
         };
         Closed { event, submap, moved }
+    }
+
+    /// Whether the camera can have gone from the one submap to the other as a merger would have it.
+    fn can_merge(&self, map: &Map, recognition: &Recognition, current: SubmapId, matched: SubmapId) -> bool {
+        let place_from_current = recognition.place_from_current;
+        let (older, newer, older_from_newer) = if current > matched {
+            (matched, current, place_from_current)
+        } else {
+            (current, matched, place_from_current.inverse())
+        };
+        recognition.n_matches >= self.config.continuity.n_beyond_doubt
+            || continuity::can_follow(map, older, newer, &older_from_newer, &self.config.continuity)
     }
 
     fn merge(

@@ -141,7 +141,7 @@ impl LocalMap {
         expected.iter().for_each(|expected| sightings.line_visible(expected.line.id));
     }
 
-    /// Looks for the points of the local map that the frame has not found yet. Returns how many were found.
+    /// Looks for the points of the local map that the frame has not found yet. Returns how many it should see in all.
     pub fn search(
         &mut self,
         map: &Map,
@@ -161,12 +161,13 @@ impl LocalMap {
         let min_view_cosine = config.max_view_angle_deg.to_radians().cos();
         let centre = frame.camera_from_world.centre();
         let features = frame.features.clone();
-        let mut n_found = 0;
+        let mut n_visible = frame.points.iter().flatten().count();
         for id in self.points.iter().filter(|id| self.stamps[id.index()] != self.round) {
             let Some(point) = map.point(*id) else { continue };
             let view =
                 PredictedView::of(point, &frame.camera_from_world, &centre, &features, min_view_cosine);
             let Some(view) = view else { continue };
+            n_visible += 1;
             sightings.visible(*id);
             let window = Window {
                 pixel: view.pixel,
@@ -179,10 +180,9 @@ impl LocalMap {
                 find_in_window(&features, &point.descriptor, &window, |idx| frame.points[idx].is_some());
             if let Some(feature_idx) = found {
                 frame.points[feature_idx] = Some(*id);
-                n_found += 1;
             }
         }
-        n_found
+        n_visible
     }
 }
 

@@ -9,9 +9,10 @@ pub(crate) mod relocalisation;
 pub(crate) mod search;
 
 pub(crate) use local_map::Sightings;
-use pose::place_frame;
+use pose::{Placement, place_frame};
 
-use crate::config::SlamConfig;
+use crate::config::{ContinuityConfig, SlamConfig, TrackingConfig};
+use crate::continuity::Reach;
 use crate::features::FrameFeatures;
 use crate::map::{FramePose, KeyframeId, Map, SubmapId};
 use crate::report::{LostReason, TrackingOutcome};
@@ -23,10 +24,13 @@ use lines::LineTracks;
 use local_map::LocalMap;
 use relocalisation::Relocaliser;
 use search::{Expected, match_keyframe, search_by_motion};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// A gap in time longer than this many frame intervals is not bridged by the motion model.
-const MAX_EXTRAPOLATION: f64 = 3.0;
+/// A gap in time longer than this many frame intervals is not bridged by the motion model: half a second of video.
+const MAX_EXTRAPOLATION: f64 = 15.0;
+/// What remains after a frame of the highest speed so far: a third after a second of video.
+const SPEED_DECAY: f64 = 0.97;
 /// Frames after a relocalisation in which the local map is searched more widely, and how much.
 const WIDE_SEARCH_FRAMES: u64 = 10;
 const WIDE_SEARCH_FACTOR: f64 = 2.5;
@@ -56,6 +60,21 @@ pub(crate) struct Tracker {
     /// Frames since the camera was last found by relocalisation.
     n_since_relocalisation: Option<u64>,
     last_keyframe: Option<LastKeyframe>,
+    /// Time of the frame before, placed or not.
+    last_timestamp_ns: Option<i64>,
+    /// Where the camera was last seen in each submap.
+    last_seen: BTreeMap<SubmapId, LastSeen>,
+}
+
+/// Where a camera was when it was last placed in a submap.
+#[derive(Clone, Copy, Debug)]
+struct LastSeen {
+    place: FramePose,
+    timestamp_ns: i64,
+    /// Map units per nanosecond, the fastest of late.
+    speed: f64,
+    /// The unit of the reference key frame that the speed is in.
+    unit: f64,
 }
 
 /// The frame before, as the motion model needs it.
@@ -71,7 +90,7 @@ struct LastFrame {
 impl Tracker {
     /// A tracker that looks for a lost camera in the whole map.
     pub fn new(config: SlamConfig) -> Self {
-        let relocaliser = Relocaliser::new(config.relocalisation.clone(), config.seed);
+        let relocaliser = Relocaliser::new(&config);
         Self { relocaliser: Some(relocaliser), ..Self::follower(config) }
     }
 
@@ -86,6 +105,8 @@ impl Tracker {
             last: None,
             n_since_relocalisation: None,
             last_keyframe: None,
+            last_timestamp_ns: None,
+            last_seen: BTreeMap::new(),
         }
     }
 
@@ -119,7 +140,8 @@ impl Tracker {
     /// How much the camera should have turned since the last frame, if it was placed and the motion is known.
     pub fn expected_rotation(&self, timestamp_ns: i64) -> Option<UnitQuaternion<f64>> {
         let last = self.last.as_ref().filter(|last| last.motion.is_some())?;
-        Some(last.predict(timestamp_ns).rotation * last.frame.camera_from_world.rotation.inverse())
+        let before = self.last_timestamp_ns.map_or(last.frame.camera_from_world, |time| last.predict(time));
+        Some(last.predict(timestamp_ns).rotation * before.rotation.inverse())
     }
 
     /// The last frame, if it was placed.
@@ -145,9 +167,23 @@ impl Tracker {
         features: Arc<FrameFeatures>,
         map: &Map,
     ) -> Tracked {
-        if features.len() < self.config.tracking.min_weak_inliers {
-            let n_required = self.config.tracking.min_weak_inliers;
-            return self.lose(LostReason::TooFewFeatures { n_keypoints: features.len(), n_required });
+        let tracked = self.try_track(sequence, timestamp_ns, features, map);
+        self.last_timestamp_ns = Some(timestamp_ns);
+        tracked
+    }
+
+    fn try_track(
+        &mut self,
+        sequence: u64,
+        timestamp_ns: i64,
+        features: Arc<FrameFeatures>,
+        map: &Map,
+    ) -> Tracked {
+        let n_required = self.config.tracking.min_weak_inliers;
+        if features.len() + features.lines.len() < n_required {
+            let (n_keypoints, n_segments) = (features.len(), features.lines.len());
+            let reason = LostReason::TooFewFeatures { n_keypoints, n_segments, n_required };
+            return self.lose(timestamp_ns, reason);
         }
         let blank = |camera_from_world, reference, submap| {
             TrackedFrame::blank(
@@ -161,22 +197,23 @@ impl Tracker {
         };
         let followed = self.last.as_ref().and_then(|last| {
             let frame = blank(last.predict(timestamp_ns), last.frame.reference, last.frame.submap);
-            self.follow_motion(last, frame.clone(), map).or_else(|| self.follow_reference(last, frame, map))
+            self.follow(last, frame, map)
         });
         let relocalised = followed.is_none();
         let Some(mut frame) = followed.or_else(|| {
             let frame = blank(Pose::identity(), KeyframeId::from_index(0), SubmapId::default());
-            self.relocaliser.as_mut()?.relocalise(frame, map, None)
+            self.relocalise(frame, map, None)
         }) else {
             let n_candidates = self.relocaliser.as_ref().map_or(0, Relocaliser::n_candidates);
-            let lost = self.lose(LostReason::NotRelocalised { n_candidates });
+            let lost = self.lose(timestamp_ns, LostReason::NotRelocalised { n_candidates });
             return Tracked { n_candidates: Some(n_candidates), ..lost };
         };
         if relocalised {
             self.n_since_relocalisation = Some(0);
         }
-        let inliers = self.track_local_map(&mut frame, map);
-        self.conclude(frame, inliers, relocalised, map)
+        let (placement, n_expected) = self.track_local_map(&mut frame, map);
+        let outcome = judge(&placement, n_expected, &self.config.tracking);
+        self.conclude(frame, placement.inliers, outcome, relocalised, map)
     }
 
     /// Looks for a frame in the submaps other than the one it is followed in. Where it is found there, the camera is
@@ -199,15 +236,30 @@ impl Tracker {
             reference: KeyframeId::from_index(0),
             submap: except,
         };
-        let mut frame = self.relocaliser.as_mut()?.relocalise(blank, map, Some(except))?;
+        let mut frame = self.relocalise(blank, map, Some(except))?;
         let before = (self.n_since_relocalisation, self.last.take());
         self.n_since_relocalisation = Some(0);
-        let inliers = self.track_local_map(&mut frame, map);
-        if inliers.total() >= self.config.tracking.min_inliers {
-            return Some(self.conclude(frame, inliers, true, map));
+        let (placement, n_expected) = self.track_local_map(&mut frame, map);
+        let outcome = judge(&placement, n_expected, &self.config.tracking);
+        if matches!(outcome, TrackingOutcome::Tracked) {
+            return Some(self.conclude(frame, placement.inliers, outcome, true, map));
         }
         (self.n_since_relocalisation, self.last) = before;
         None
+    }
+
+    fn relocalise(
+        &mut self,
+        blank: TrackedFrame,
+        map: &Map,
+        except: Option<SubmapId>,
+    ) -> Option<TrackedFrame> {
+        let reaches: Vec<Reach> = self
+            .last_seen
+            .values()
+            .filter_map(|seen| seen.reach(map, blank.timestamp_ns, &self.config.continuity))
+            .collect();
+        self.relocaliser.as_mut()?.relocalise(blank, map, except, &reaches)
     }
 
     /// Whether a frame with these inliers should become a key frame.
@@ -227,8 +279,27 @@ impl Tracker {
         self.last_keyframe = Some(LastKeyframe::of(frame));
     }
 
-    /// Points of the last frame, projected to where the motion so far would take them.
-    fn follow_motion(&self, last: &LastFrame, mut frame: TrackedFrame, map: &Map) -> Option<TrackedFrame> {
+    /// By the motion so far, or, where little is found by that, by what the reference key frame sees.
+    fn follow(&self, last: &LastFrame, frame: TrackedFrame, map: &Map) -> Option<TrackedFrame> {
+        let by_motion = self.follow_motion(last, frame.clone(), map);
+        if by_motion
+            .as_ref()
+            .is_some_and(|(_, n_inliers)| *n_inliers >= self.config.tracking.min_motion_matches)
+        {
+            return by_motion.map(|(frame, _)| frame);
+        }
+        let by_reference = self.follow_reference(last, frame, map);
+        let best = by_motion.into_iter().chain(by_reference).max_by_key(|(_, n_inliers)| *n_inliers)?;
+        Some(best.0)
+    }
+
+    /// Points of the last frame, projected to where the motion so far would take them. Returns how many agree.
+    fn follow_motion(
+        &self,
+        last: &LastFrame,
+        mut frame: TrackedFrame,
+        map: &Map,
+    ) -> Option<(TrackedFrame, usize)> {
         last.motion.as_ref()?;
         let config = &self.config.tracking;
         let expected = || {
@@ -258,11 +329,18 @@ impl Tracker {
         if n_matches < config.min_first_inliers {
             return None;
         }
-        (place_frame(&mut frame, map).total() >= config.min_first_inliers).then_some(frame)
+        let n_inliers = place_frame(&mut frame, map).inliers.total();
+        (n_inliers >= config.min_first_inliers).then_some((frame, n_inliers))
     }
 
-    /// Points of the reference key frame, recognised by their descriptors, starting from the last pose.
-    fn follow_reference(&self, last: &LastFrame, mut frame: TrackedFrame, map: &Map) -> Option<TrackedFrame> {
+    /// Points of the reference key frame, recognised by their descriptors, starting from the last pose. Returns how many
+    /// agree.
+    fn follow_reference(
+        &self,
+        last: &LastFrame,
+        mut frame: TrackedFrame,
+        map: &Map,
+    ) -> Option<(TrackedFrame, usize)> {
         let config = &self.config.tracking;
         let reference = map.keyframe(last.frame.reference)?;
         let matches = match_keyframe(reference, &frame.features);
@@ -274,11 +352,12 @@ impl Tracker {
             frame.points[feature_idx] = Some(id);
         }
         self.line_tracks.associate(&mut frame, map, &self.config.lines);
-        (place_frame(&mut frame, map).total() >= config.min_first_inliers).then_some(frame)
+        let n_inliers = place_frame(&mut frame, map).inliers.total();
+        (n_inliers >= config.min_first_inliers).then_some((frame, n_inliers))
     }
 
-    /// Finds more of what is near and places the frame by all of it. Returns what agrees.
-    fn track_local_map(&mut self, frame: &mut TrackedFrame, map: &Map) -> Inliers {
+    /// Finds more of what is near and places the frame by all of it. Returns how many points could have been found, too.
+    fn track_local_map(&mut self, frame: &mut TrackedFrame, map: &Map) -> (Placement, usize) {
         let config = &self.config.tracking;
         if let Some(reference) = self.local_map.collect(map, frame, config) {
             frame.reference = reference;
@@ -286,27 +365,27 @@ impl Tracker {
         }
         let wide = self.n_since_relocalisation.is_some_and(|n| n < WIDE_SEARCH_FRAMES);
         let radius = config.map_search_radius_px * if wide { WIDE_SEARCH_FACTOR } else { 1.0 };
-        self.local_map.search(map, frame, radius, config, &mut self.sightings);
+        let n_visible = self.local_map.search(map, frame, radius, config, &mut self.sightings);
         self.local_map.search_lines(map, frame, &self.config.lines, &mut self.sightings);
-        let inliers = place_frame(frame, map);
+        let placement = place_frame(frame, map);
         frame.points.iter().flatten().for_each(|id| self.sightings.found(*id));
         frame.lines.iter().flatten().for_each(|id| self.sightings.line_found(*id));
-        inliers
+        // Of crowded places the extractor picks only so many keypoints.
+        (placement, n_visible.min(frame.features.len()))
     }
 
-    /// Judges a placed frame and remembers it for the next.
-    fn conclude(&mut self, frame: TrackedFrame, inliers: Inliers, relocalised: bool, map: &Map) -> Tracked {
-        let config = &self.config.tracking;
-        let n_inliers = inliers.total();
-        if n_inliers < config.min_weak_inliers {
-            let n_required = config.min_weak_inliers;
-            return self.lose(LostReason::TooFewInliers { n_inliers, n_required });
+    /// Remembers a placed and judged frame for the next.
+    fn conclude(
+        &mut self,
+        frame: TrackedFrame,
+        inliers: Inliers,
+        outcome: TrackingOutcome,
+        relocalised: bool,
+        map: &Map,
+    ) -> Tracked {
+        if let TrackingOutcome::Lost(reason) = outcome {
+            return self.lose(frame.timestamp_ns, reason);
         }
-        let outcome = if n_inliers < config.min_inliers {
-            TrackingOutcome::Weak { n_inliers, n_required: config.min_inliers }
-        } else {
-            TrackingOutcome::Tracked
-        };
         if let Some(n) = self.n_since_relocalisation.as_mut().filter(|_| !relocalised) {
             *n += 1;
         }
@@ -315,6 +394,7 @@ impl Tracker {
             (motion, frame.timestamp_ns - last.frame.timestamp_ns)
         });
         self.line_tracks.remember(&frame);
+        self.note_seen(&frame, motion.as_ref(), map);
         self.remember(frame.clone(), map, motion);
         let searched = self.relocaliser.as_ref().filter(|_| relocalised);
         let n_candidates = searched.map(Relocaliser::n_candidates);
@@ -326,8 +406,21 @@ impl Tracker {
         self.last = frame.pose_in(map).map(|place| LastFrame { frame, place, unit, motion });
     }
 
-    fn lose(&mut self, reason: LostReason) -> Tracked {
-        self.last = None;
+    fn note_seen(&mut self, frame: &TrackedFrame, motion: Option<&(Pose, i64)>, map: &Map) {
+        let Some((place, anchor)) = frame.pose_in(map).zip(map.anchor_of(frame.reference)) else { return };
+        let (timestamp_ns, unit) = (frame.timestamp_ns, anchor.unit);
+        let now = motion
+            .map_or(0.0, |(motion, interval_ns)| motion.translation.norm() / interval_ns.abs().max(1) as f64);
+        let before = self.last_seen.get(&frame.submap).map_or(0.0, |seen| seen.speed * unit / seen.unit);
+        let speed = now.max(SPEED_DECAY * before);
+        self.last_seen.insert(frame.submap, LastSeen { place, timestamp_ns, speed, unit });
+    }
+
+    /// For a while the camera is looked for where it was heading; after that only by recognising places.
+    fn lose(&mut self, timestamp_ns: i64, reason: LostReason) -> Tracked {
+        let max_coasting_ns = self.config.tracking.max_coasting_ns;
+        let is_recent = |last: &LastFrame| (timestamp_ns - last.frame.timestamp_ns).abs() <= max_coasting_ns;
+        self.last = self.last.take().filter(is_recent);
         Tracked {
             outcome: TrackingOutcome::Lost(reason),
             frame: None,
@@ -335,6 +428,43 @@ impl Tracker {
             relocalised: false,
             n_candidates: None,
         }
+    }
+}
+
+/// Whether enough landmarks agree with a pose, and whether they determine it. [ALGORITHMS 9]
+///
+/// Few landmarks are enough in a place that has few, but where `n_expected` could have been found and hardly any was, the
+/// few agree by chance.
+fn judge(placement: &Placement, n_expected: usize, config: &TrackingConfig) -> TrackingOutcome {
+    let Placement { inliers, uncertainty } = *placement;
+    let n_inliers = inliers.total();
+    let max_rotation_rad = config.max_rotation_sigma_deg.to_radians();
+    let within = |factor: f64| {
+        uncertainty.rotation_rad <= factor * max_rotation_rad
+            && uncertainty.position_share <= factor * config.max_position_sigma_share
+    };
+    let share = (config.min_found_share * n_expected as f64).ceil() as usize;
+    let n_required_of = |least: usize, plenty: usize| share.clamp(least, plenty);
+    let n_required_weak = n_required_of(config.min_weak_inliers, config.plentiful_inliers / 2);
+    let n_required_good = n_required_of(config.min_inliers, config.plentiful_inliers);
+    if n_inliers < n_required_weak {
+        let n_required = n_required_weak;
+        TrackingOutcome::Lost(LostReason::TooFewInliers { n_inliers, n_required })
+    } else if !within(config.weak_sigma_factor) {
+        TrackingOutcome::Lost(LostReason::Undetermined { uncertainty })
+    } else if n_inliers < n_required_good || !within(1.0) {
+        TrackingOutcome::Weak { n_inliers, n_required: n_required_good, uncertainty }
+    } else {
+        TrackingOutcome::Tracked
+    }
+}
+
+impl LastSeen {
+    fn reach(&self, map: &Map, timestamp_ns: i64, config: &ContinuityConfig) -> Option<Reach> {
+        let (_, camera_from_world) = map.locate(&self.place)?;
+        let speed = self.speed * map.anchor_of(self.place.reference)?.unit / self.unit;
+        let elapsed_ns = timestamp_ns - self.timestamp_ns;
+        Reach::from(map, self.place.reference, &camera_from_world.centre(), speed, elapsed_ns, config)
     }
 }
 

@@ -5,7 +5,8 @@ use crate::bundle::anchored_line::AnchoredLine;
 use crate::bundle::factors::{LineReprojectionFactor, PointReprojectionFactor};
 use crate::features::FrameFeatures;
 use crate::map::Map;
-use geometry::nalgebra::Vector3;
+use crate::report::PoseUncertainty;
+use geometry::nalgebra::{Matrix6, Vector3};
 use geometry::{OrthonormalLine, Pose};
 use optim::{HoldSecond, Kernel, SingleOptions, UnaryGroup, chi2_95, optimize_single};
 
@@ -14,8 +15,17 @@ type PointSighting = HoldSecond<PointReprojectionFactor, Vector3<f64>>;
 /// A segment and the fixed line it sees, likewise.
 type LineSighting = HoldSecond<LineReprojectionFactor, OrthonormalLine>;
 
-/// Places a frame by the landmarks it was matched to and drops the matches that disagree. Returns how many agree.
-pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map) -> Inliers {
+/// A frame's pose as its landmarks determine it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Placement {
+    /// Landmarks that agree with the pose.
+    pub inliers: Inliers,
+    /// How well they determine it.
+    pub uncertainty: PoseUncertainty,
+}
+
+/// Places a frame by the landmarks it was matched to and drops the matches that disagree.
+pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map) -> Placement {
     let (mut point_slots, mut points) = (Vec::with_capacity(frame.points.len()), Vec::new());
     for (feature_idx, slot) in frame.points.iter_mut().enumerate() {
         let Some(id) = *slot else { continue };
@@ -51,7 +61,35 @@ pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map) -> Inliers {
     for (feature_idx, _) in line_slots.iter().zip(lines.inliers()).filter(|(_, inlier)| !**inlier) {
         frame.lines[*feature_idx] = None;
     }
-    Inliers { n_points: points.n_inliers(), n_lines: lines.n_inliers() }
+    Placement {
+        inliers: Inliers { n_points: points.n_inliers(), n_lines: lines.n_inliers() },
+        uncertainty: uncertainty_of(&report.information, median_depth(frame, map)),
+    }
+}
+
+/// Standard deviations from the information on a pose, whose tangent is the turn, then the shift, of the camera.
+fn uncertainty_of(information: &Matrix6<f64>, depth: f64) -> PoseUncertainty {
+    let Some(covariance) = information.try_inverse() else { return PoseUncertainty::UNDETERMINED };
+    let worst = |corner: usize| {
+        let block = covariance.fixed_view::<3, 3>(corner, corner).into_owned();
+        let variance = block.symmetric_eigenvalues().max();
+        if variance.is_finite() && variance >= 0.0 { variance.sqrt() } else { f64::INFINITY }
+    };
+    PoseUncertainty { rotation_rad: worst(0), position_share: worst(3) / depth }
+}
+
+/// Median depth of the landmarks a frame sees; zero where it sees none.
+fn median_depth(frame: &TrackedFrame, map: &Map) -> f64 {
+    let points = frame.points.iter().flatten().filter_map(|id| map.point(*id)).map(|point| point.position);
+    let lines = frame.lines.iter().flatten().filter_map(|id| map.line(*id));
+    let middles = lines.map(|line| (line.endpoints[0] + line.endpoints[1]) / 2.0);
+    let mut depths: Vec<f64> =
+        points.chain(middles).map(|position| frame.camera_from_world.transform(&position).z).collect();
+    if depths.is_empty() {
+        return 0.0;
+    }
+    let middle = depths.len() / 2;
+    *depths.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 fn point_sighting(features: &FrameFeatures, feature_idx: usize, position: Vector3<f64>) -> PointSighting {

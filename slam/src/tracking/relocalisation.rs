@@ -3,7 +3,8 @@
 use super::frame::TrackedFrame;
 use super::pose::place_frame;
 use super::search::{Expected, match_keyframe, search_by_motion};
-use crate::config::RelocalisationConfig;
+use crate::config::{RelocalisationConfig, SlamConfig};
+use crate::continuity::Reach;
 use crate::map::{Keyframe, Map, PointId, SubmapId};
 use crate::places::KeyframePlaces;
 use geometry::absolute_pose::{PoseObservation, ransac_pose};
@@ -20,17 +21,20 @@ const N_NEIGHBOURS: usize = 10;
 /// Recognises places. Learns the key frames of a map as they appear.
 pub(crate) struct Relocaliser {
     config: RelocalisationConfig,
+    /// Landmarks that show a place beyond doubt, however far it is.
+    n_beyond_doubt: usize,
     places: KeyframePlaces,
     rng: ChaCha8Rng,
     n_candidates: usize,
 }
 
 impl Relocaliser {
-    pub fn new(config: RelocalisationConfig, seed: u64) -> Self {
+    pub fn new(config: &SlamConfig) -> Self {
         Self {
-            config,
+            config: config.relocalisation.clone(),
+            n_beyond_doubt: config.continuity.n_beyond_doubt,
             places: KeyframePlaces::default(),
-            rng: ChaCha8Rng::seed_from_u64(seed),
+            rng: ChaCha8Rng::seed_from_u64(config.seed),
             n_candidates: 0,
         }
     }
@@ -45,23 +49,31 @@ impl Relocaliser {
         self.n_candidates
     }
 
-    /// The frame with a pose and matches, if a place in the map fits it. A submap may be left out.
+    /// The frame with a pose and matches, if a place in the map fits it that the camera can have reached. A submap may be
+    /// left out.
     pub fn relocalise(
         &mut self,
         blank: TrackedFrame,
         map: &Map,
         except: Option<SubmapId>,
+        reaches: &[Reach],
     ) -> Option<TrackedFrame> {
         let is_wanted = |id| map.keyframe(id).is_some_and(|keyframe| Some(keyframe.submap) != except);
         let candidates =
             self.places.most_similar(&blank.features.descriptors, self.config.max_candidates, is_wanted);
         self.n_candidates = candidates.len();
-        candidates
-            .iter()
-            .find_map(|candidate| self.try_place(blank.clone(), map.keyframe(candidate.keyframe)?, map))
+        candidates.iter().find_map(|candidate| {
+            self.try_place(blank.clone(), map.keyframe(candidate.keyframe)?, map, reaches)
+        })
     }
 
-    fn try_place(&mut self, mut frame: TrackedFrame, keyframe: &Keyframe, map: &Map) -> Option<TrackedFrame> {
+    fn try_place(
+        &mut self,
+        mut frame: TrackedFrame,
+        keyframe: &Keyframe,
+        map: &Map,
+        reaches: &[Reach],
+    ) -> Option<TrackedFrame> {
         let matches = match_keyframe(keyframe, &frame.features);
         if matches.len() < self.config.min_matches {
             return None;
@@ -69,15 +81,18 @@ impl Relocaliser {
         frame.reference = keyframe.id;
         frame.submap = keyframe.submap;
         self.place_by_matches(&mut frame, &matches, map)?;
-        let mut n_inliers = place_frame(&mut frame, map).total();
+        let mut n_inliers = place_frame(&mut frame, map).inliers.total();
         if n_inliers < self.config.min_first_inliers {
             return None;
         }
         if n_inliers < self.config.min_inliers {
             self.search_around(&mut frame, keyframe, map);
-            n_inliers = place_frame(&mut frame, map).total();
+            n_inliers = place_frame(&mut frame, map).inliers.total();
         }
-        (n_inliers >= self.config.min_inliers).then_some(frame)
+        let centre = frame.camera_from_world.centre();
+        let is_reached = reaches.iter().all(|reach| reach.submap != frame.submap || reach.includes(&centre));
+        let n_required = if is_reached { self.config.min_inliers } else { self.n_beyond_doubt };
+        (n_inliers >= n_required).then_some(frame)
     }
 
     /// A pose from three matches that many others agree with; only those are kept.

@@ -1,0 +1,90 @@
+//! Where a camera can have gone: two places that look alike are told apart by the way between them.
+
+use crate::config::ContinuityConfig;
+use crate::map::{Keyframe, KeyframeId, Map, SubmapId};
+use crate::mapping::median_depth;
+use geometry::Similarity;
+use geometry::nalgebra::Vector3;
+
+/// Key frames at the end of a submap from which the camera's speed is taken.
+const N_SPEED_KEYFRAMES: usize = 10;
+
+/// How far a camera may have come since it was last seen.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Reach {
+    /// The submap it was last seen in.
+    pub submap: SubmapId,
+    /// Where it was, map units.
+    centre: Vector3<f64>,
+    /// How far it may be from there, map units.
+    radius: f64,
+}
+
+impl Reach {
+    /// From the key frames made before `timestamp_ns`; `None` where it was long ago or the speed is unknown.
+    pub fn after_keyframes(
+        map: &Map,
+        submap: SubmapId,
+        timestamp_ns: i64,
+        config: &ContinuityConfig,
+    ) -> Option<Self> {
+        let mut before: Vec<&Keyframe> =
+            map.keyframes_of(submap).filter(|keyframe| keyframe.timestamp_ns < timestamp_ns).collect();
+        before.sort_by_key(|keyframe| keyframe.timestamp_ns);
+        let newest = &before[before.len().saturating_sub(N_SPEED_KEYFRAMES)..];
+        let speed_per_ns = newest
+            .windows(2)
+            .map(|pair| {
+                let way = pair[0].camera_from_world.centre() - pair[1].camera_from_world.centre();
+                way.norm() / (pair[1].timestamp_ns - pair[0].timestamp_ns).max(1) as f64
+            })
+            .max_by(f64::total_cmp)?;
+        let last = newest.last()?;
+        Self::from(
+            map,
+            last.id,
+            &last.camera_from_world.centre(),
+            speed_per_ns,
+            timestamp_ns - last.timestamp_ns,
+            config,
+        )
+    }
+
+    /// From where the camera was `elapsed_ns` ago, beside a key frame; `None` where that is long ago.
+    pub fn from(
+        map: &Map,
+        beside: KeyframeId,
+        centre: &Vector3<f64>,
+        speed_per_ns: f64,
+        elapsed_ns: i64,
+        config: &ContinuityConfig,
+    ) -> Option<Self> {
+        if elapsed_ns.abs() > config.max_elapsed_ns {
+            return None;
+        }
+        let keyframe = map.anchor_of(beside)?;
+        let radius = config.depth_share * median_depth(map, keyframe)?
+            + config.speed_factor * speed_per_ns * elapsed_ns.abs() as f64;
+        radius.is_finite().then_some(Self { submap: keyframe.submap, centre: *centre, radius })
+    }
+
+    /// Whether a camera there, map units, can be the one that was last seen.
+    pub fn includes(&self, centre: &Vector3<f64>) -> bool {
+        (centre - self.centre).norm() <= self.radius
+    }
+}
+
+/// Whether the camera can have gone from the older submap to where `older_from_newer` says that the newer one began.
+pub(crate) fn can_follow(
+    map: &Map,
+    older: SubmapId,
+    newer: SubmapId,
+    older_from_newer: &Similarity,
+    config: &ContinuityConfig,
+) -> bool {
+    let Some(first) = map.keyframes_of(newer).min_by_key(|keyframe| keyframe.timestamp_ns) else {
+        return true;
+    };
+    let centre = older_from_newer.transform(&first.camera_from_world.centre());
+    Reach::after_keyframes(map, older, first.timestamp_ns, config).is_none_or(|reach| reach.includes(&centre))
+}
