@@ -190,11 +190,10 @@ pub struct TrackingConfig {
     /// Landmarks that must agree for a weak pose; fewer and the camera is lost. Default 6: fewer
     /// agree by chance.
     pub min_weak_inliers: usize,
-    /// Share of the landmarks that could be found again which a good or weak pose needs, between the numbers above and
-    /// `plentiful_inliers`. Default 0.2: true poses reach 0.3 and more, false ones 0.01.
+    /// Share of the landmarks that could be found again which a good pose needs, between `min_inliers` and
+    /// `plentiful_inliers`; a weak one needs half of it. Default 0.2: true poses reach 0.3 and more, false ones 0.01.
     pub min_found_share: f64,
-    /// Landmarks that are enough for a good pose however many were expected, and half of it for a weak one. Default 30:
-    /// blur and people in the way hide most.
+    /// Landmarks that are enough for a pose however many were expected. Default 30: blur and people in the way hide most.
     pub plentiful_inliers: usize,
     /// Largest standard deviation of a good pose's attitude, degrees. Default 0.4; textured places reach 0.02.
     pub max_rotation_sigma_deg: f64,

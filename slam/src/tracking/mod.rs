@@ -443,10 +443,11 @@ fn judge(placement: &Placement, n_expected: usize, config: &TrackingConfig) -> T
         uncertainty.rotation_rad <= factor * max_rotation_rad
             && uncertainty.position_share <= factor * config.max_position_sigma_share
     };
-    let share = (config.min_found_share * n_expected as f64).ceil() as usize;
-    let n_required_of = |least: usize, plenty: usize| share.clamp(least, plenty);
-    let n_required_weak = n_required_of(config.min_weak_inliers, config.plentiful_inliers / 2);
-    let n_required_good = n_required_of(config.min_inliers, config.plentiful_inliers);
+    let n_required_of = |share: f64, least: usize| {
+        ((share * n_expected as f64).ceil() as usize).clamp(least, config.plentiful_inliers)
+    };
+    let n_required_weak = n_required_of(0.5 * config.min_found_share, config.min_weak_inliers);
+    let n_required_good = n_required_of(config.min_found_share, config.min_inliers);
     if n_inliers < n_required_weak {
         let n_required = n_required_weak;
         TrackingOutcome::Lost(LostReason::TooFewInliers { n_inliers, n_required })
