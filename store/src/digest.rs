@@ -46,7 +46,7 @@ const TABLES: [(&str, &str); 12] = [
     ),
     (
         "keyframes",
-        "SELECT id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, n_keypoints, n_points,
+        "SELECT id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, unit, parent, n_keypoints, n_points,
          n_segments, n_lines FROM keyframes WHERE session = ?1 ORDER BY id",
     ),
     (

@@ -5,7 +5,7 @@ use crate::lines::{LINE_COLUMNS, parse_line};
 use crate::number::{from_column, keyframe_id, submap_id};
 use crate::observations::enter_observations;
 use crate::points::{POINT_COLUMNS, parse_point};
-use crate::pose::{read_pose, read_removed};
+use crate::pose::{read_pose, read_removed, read_unit};
 use crate::primitives::read_primitives;
 use crate::session::parse_session;
 use crate::{SessionRecord, Store, StoreError};
@@ -100,7 +100,7 @@ async fn read_keyframes(
     loop {
         let after = keyframes.last().map_or(0, |last| last.id.get() as i64);
         let rows = sqlx::query(
-            "SELECT k.id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, features, vanishing
+            "SELECT k.id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, features, vanishing, unit
              FROM keyframes k LEFT JOIN keyframe_features f ON f.session = k.session AND f.keyframe = k.id
              LEFT JOIN keyframe_vanishing v ON v.session = k.session AND v.keyframe = k.id
              WHERE k.session = ? AND k.id > ? ORDER BY k.id LIMIT ?",
@@ -147,6 +147,7 @@ fn parse_keyframe(
         parent.map(keyframe_id).transpose()?,
     );
     keyframe.vanishing = vanishing.unwrap_or_default();
+    keyframe.unit = read_unit(row, 14)?;
     Ok(keyframe)
 }
 

@@ -1,10 +1,10 @@
 //! Poses as seven columns, and poses of key frames that may have been removed.
 
 use crate::StoreError;
-use crate::number::keyframe_id;
+use crate::number::{keyframe_id, submap_id};
 use geometry::Pose;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use slam::map::{KeyframeId, RemovedKeyframe};
+use slam::map::{KeyframeId, RemovedKeyframe, SubmapId};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 use std::collections::BTreeMap;
@@ -21,6 +21,11 @@ pub(crate) fn pose_columns(pose: &Pose) -> [f64; 7] {
 /// As [`pose_columns`], refusing numbers that are not finite.
 pub(crate) fn finite_pose_columns(what: &str, pose: &Pose) -> Result<[f64; 7], StoreError> {
     if pose.is_finite() { Ok(pose_columns(pose)) } else { Err(StoreError::NotFinite(what.to_owned())) }
+}
+
+/// The number, refused if it is not finite.
+pub(crate) fn finite(what: &str, value: f64) -> Result<f64, StoreError> {
+    if value.is_finite() { Ok(value) } else { Err(StoreError::NotFinite(what.to_owned())) }
 }
 
 /// The pose in the seven columns from `first` on; bit for bit what was stored.
@@ -40,23 +45,32 @@ pub(crate) fn read_pose(row: &SqliteRow, first: usize) -> Result<Pose, StoreErro
     }
 }
 
+/// Where a key frame is.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Anchor {
+    submap: SubmapId,
+    camera_from_world: Pose,
+    /// Map units per unit of the offsets of what hangs on it.
+    unit: f64,
+}
+
 /// Where every key frame of a session is, and what removed ones hang on: some hundred bytes for each.
 #[derive(Debug, Default)]
 pub(crate) struct PoseBook {
-    pub(crate) keyframes: BTreeMap<KeyframeId, Pose>,
+    pub(crate) keyframes: BTreeMap<KeyframeId, Anchor>,
     pub(crate) removed: BTreeMap<KeyframeId, RemovedKeyframe>,
 }
 
 impl PoseBook {
     /// Reads the poses of a session; the connection should be in a transaction.
     pub async fn read(connection: &mut SqliteConnection, session: i64) -> Result<Self, StoreError> {
-        let rows = sqlx::query("SELECT id, qx, qy, qz, qw, tx, ty, tz FROM keyframes WHERE session = ?")
+        let rows = sqlx::query("SELECT id, qx, qy, qz, qw, tx, ty, tz, submap, unit FROM keyframes WHERE session = ?")
             .bind(session)
             .fetch_all(&mut *connection)
             .await?;
         let keyframes = rows
             .iter()
-            .map(|row| Ok((keyframe_id(row.try_get(0)?)?, read_pose(row, 1)?)))
+            .map(|row| Ok((keyframe_id(row.try_get(0)?)?, read_anchor(row)?)))
             .collect::<Result<_, StoreError>>()?;
         let removed = read_removed(connection, session)
             .await?
@@ -66,20 +80,40 @@ impl PoseBook {
         Ok(Self { keyframes, removed })
     }
 
-    /// `camera_from_world` of a key frame that is or was in the map; `None` if it hangs on nothing.
-    pub fn camera_from_world(&self, id: KeyframeId) -> Option<Pose> {
-        let mut camera_from_current = Pose::identity();
-        let mut current = id;
+    /// The submap and the pose, `camera_from_world`, of a camera that hangs on a key frame that is or was in the map;
+    /// `None` if that hangs on nothing.
+    pub fn locate(&self, reference: KeyframeId, camera_from_reference: &Pose) -> Option<(SubmapId, Pose)> {
+        let mut camera_from_current = *camera_from_reference;
+        let mut current = reference;
         // The bound ends the walk where damaged rows form a ring.
         for _ in 0..=self.removed.len() {
-            if let Some(current_from_world) = self.keyframes.get(&current) {
-                return Some(camera_from_current * *current_from_world);
+            if let Some(anchor) = self.keyframes.get(&current) {
+                camera_from_current.translation *= anchor.unit;
+                return Some((anchor.submap, camera_from_current * anchor.camera_from_world));
             }
             let removed = self.removed.get(&current)?;
             camera_from_current = camera_from_current * removed.camera_from_anchor;
             current = removed.anchor;
         }
         None
+    }
+}
+
+fn read_anchor(row: &SqliteRow) -> Result<Anchor, StoreError> {
+    Ok(Anchor {
+        submap: submap_id(row.try_get(8)?)?,
+        camera_from_world: read_pose(row, 1)?,
+        unit: read_unit(row, 9)?,
+    })
+}
+
+/// A key frame's unit, which is finite and positive.
+pub(crate) fn read_unit(row: &SqliteRow, column: usize) -> Result<f64, StoreError> {
+    let unit: f64 = row.try_get(column)?;
+    if unit.is_finite() && unit > 0.0 {
+        Ok(unit)
+    } else {
+        Err(StoreError::Corrupt("a key frame's unit is not a positive number".into()))
     }
 }
 

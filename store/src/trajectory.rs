@@ -1,6 +1,6 @@
 //! Trajectories, resolved when they are asked for.
 
-use crate::number::{from_column, keyframe_id, submap_id, to_column};
+use crate::number::{from_column, keyframe_id, to_column};
 use crate::pose::{PoseBook, read_pose};
 use crate::session::{parse_state, session_number};
 use crate::{Store, StoreError};
@@ -27,7 +27,7 @@ pub struct TrajectoryFilter {
     pub from_timestamp_ns: Option<i64>,
     /// Last time, nanoseconds.
     pub to_timestamp_ns: Option<i64>,
-    /// Poses in this submap's frame of reference only.
+    /// Poses in this submap's frame of reference only; poses of a submap that was merged are in the one it became part of.
     pub submap: Option<SubmapId>,
 }
 
@@ -106,16 +106,16 @@ struct Cursor {
     last: i64,
 }
 
-const SELECT_FRAMES: &str = "SELECT sequence, timestamp_ns, submap, state, backfilled, reference, \
+const SELECT_FRAMES: &str = "SELECT sequence, timestamp_ns, state, backfilled, reference, \
      qx, qy, qz, qw, tx, ty, tz FROM frames \
      WHERE session = ?1 AND sequence >= ?2 AND sequence <= ?3 AND reference IS NOT NULL \
-     AND timestamp_ns BETWEEN ?4 AND ?5 AND (?6 IS NULL OR submap = ?6) ORDER BY sequence LIMIT ?7";
+     AND timestamp_ns BETWEEN ?4 AND ?5 ORDER BY sequence LIMIT ?6";
 
 /// Key frames are few: those of the whole session are no more than a few steps' worth of frames. Times and numbers of
 /// frames rise together, so one order is the other. State 2 is tracked.
-const SELECT_KEYFRAMES: &str = "SELECT sequence, timestamp_ns, submap, 2, 0, id, qx, qy, qz, qw, tx, ty, tz \
+const SELECT_KEYFRAMES: &str = "SELECT sequence, timestamp_ns, 2, 0, id, qx, qy, qz, qw, tx, ty, tz \
      FROM keyframes WHERE session = ?1 AND sequence >= ?2 AND sequence <= ?3 \
-     AND timestamp_ns BETWEEN ?4 AND ?5 AND (?6 IS NULL OR submap = ?6) ORDER BY sequence LIMIT ?7";
+     AND timestamp_ns BETWEEN ?4 AND ?5 ORDER BY sequence LIMIT ?6";
 
 impl Cursor {
     /// The next poses; `None` at the end.
@@ -134,7 +134,6 @@ impl Cursor {
             .bind(self.last)
             .bind(self.filter.from_timestamp_ns.unwrap_or(i64::MIN))
             .bind(self.filter.to_timestamp_ns.unwrap_or(i64::MAX))
-            .bind(self.filter.submap.map(|submap| i64::from(submap.0)))
             .bind(FRAMES_PER_STEP)
             .fetch_all(&mut *reader)
             .await?;
@@ -147,18 +146,24 @@ impl Cursor {
 
     /// The pose of a row, where its key frame has a place.
     fn resolve(&self, row: &SqliteRow) -> Result<Option<TrajectoryPose>, StoreError> {
-        let reference = keyframe_id(row.try_get(5)?)?;
-        let Some(reference_from_world) = self.book.camera_from_world(reference) else { return Ok(None) };
-        let camera_from_world = match self.kind {
-            TrajectoryKind::Frames => read_pose(row, 6)? * reference_from_world,
-            TrajectoryKind::Keyframes => reference_from_world,
+        let reference = keyframe_id(row.try_get(4)?)?;
+        let camera_from_reference = match self.kind {
+            TrajectoryKind::Frames => read_pose(row, 5)?,
+            TrajectoryKind::Keyframes => Pose::identity(),
         };
+        let Some((submap, camera_from_world)) = self.book.locate(reference, &camera_from_reference) else {
+            return Ok(None);
+        };
+        // Submaps merge, so which one a pose is in is known by its key frame alone.
+        if self.filter.submap.is_some_and(|wanted| wanted != submap) {
+            return Ok(None);
+        }
         Ok(Some(TrajectoryPose {
             sequence: from_column("a sequence", row.try_get(0)?)?,
             timestamp_ns: row.try_get(1)?,
-            submap: submap_id(row.try_get(2)?)?,
-            state: parse_state(row.try_get(3)?)?,
-            backfilled: row.try_get(4)?,
+            submap,
+            state: parse_state(row.try_get(2)?)?,
+            backfilled: row.try_get(3)?,
             reference,
             world_from_camera: camera_from_world.inverse(),
         }))
@@ -187,7 +192,7 @@ impl Store {
         let mut transaction = self.begin_read().await?;
         let number = session_number(&mut transaction, session).await?;
         let row = sqlx::query(
-            "SELECT timestamp_ns, state, submap, reference, qx, qy, qz, qw, tx, ty, tz FROM frames
+            "SELECT timestamp_ns, state, reference, qx, qy, qz, qw, tx, ty, tz FROM frames
              WHERE session = ? AND sequence = ?",
         )
         .bind(number)
@@ -195,15 +200,12 @@ impl Store {
         .fetch_optional(&mut *transaction)
         .await?;
         let Some(row) = row else { return Ok(None) };
-        let reference: Option<i64> = row.try_get(3)?;
+        let reference: Option<i64> = row.try_get(2)?;
         let world_from_camera = match reference {
             Some(reference) => {
                 let book = PoseBook::read(&mut transaction, number).await?;
-                let submap = submap_id(row.try_get(2)?)?;
-                let camera_from_reference = read_pose(&row, 4)?;
-                book.camera_from_world(keyframe_id(reference)?).map(|reference_from_world| {
-                    (submap, (camera_from_reference * reference_from_world).inverse())
-                })
+                let placed = book.locate(keyframe_id(reference)?, &read_pose(&row, 3)?);
+                placed.map(|(submap, camera_from_world)| (submap, camera_from_world.inverse()))
             }
             None => None,
         };

@@ -4,9 +4,10 @@ use super::{Measured, Problems};
 use crate::StoreError;
 use crate::blob::{MeasuredCounts, check_features, decode_vanishing};
 use crate::number::{from_column, keyframe_id};
-use crate::pose::{PoseBook, read_pose};
+use crate::pose::{PoseBook, read_pose, read_unit};
 use crate::session::parse_state;
 use futures_util::TryStreamExt;
+use geometry::Pose;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 
@@ -18,7 +19,7 @@ pub(super) async fn check_keyframes(
 ) -> Result<Measured, StoreError> {
     let mut measured = Measured::new();
     let mut rows = sqlx::query(
-        "SELECT id, qx, qy, qz, qw, tx, ty, tz, n_keypoints, features, n_segments, vanishing
+        "SELECT id, qx, qy, qz, qw, tx, ty, tz, n_keypoints, features, n_segments, vanishing, unit
          FROM keyframes k LEFT JOIN keyframe_features f ON f.session = k.session AND f.keyframe = k.id
          LEFT JOIN keyframe_vanishing v ON v.session = k.session AND v.keyframe = k.id
          WHERE k.session = ? ORDER BY id",
@@ -29,6 +30,9 @@ pub(super) async fn check_keyframes(
         let Some(id) = problems.note(keyframe_id(row.try_get(0)?))? else { continue };
         if read_pose(&row, 1).is_err() {
             problems.add(format!("key frame {id} has no finite pose with a unit quaternion"));
+        }
+        if read_unit(&row, 12).is_err() {
+            problems.add(format!("key frame {id} has no unit that is a positive number"));
         }
         let n_claimed: [i64; 2] = [row.try_get(8)?, row.try_get(10)?];
         let features: Option<&[u8]> = row.try_get(9)?;
@@ -76,7 +80,7 @@ pub(super) async fn check_removed(
         if book.keyframes.contains_key(id) {
             problems.add(format!("key frame {id} is in the map and removed from it"));
         }
-        if book.camera_from_world(*id).is_none() {
+        if book.locate(*id, &Pose::identity()).is_none() {
             problems.add(format!("removed key frame {id} hangs on nothing"));
         }
     }

@@ -5,7 +5,7 @@ use super::rows::{MultiRow, id_list};
 use crate::StoreError;
 use crate::blob::encode_features;
 use crate::number::{keyframe_column, to_column};
-use crate::pose::finite_pose_columns;
+use crate::pose::{finite, finite_pose_columns};
 use slam::Keyframe;
 use slam::map::{KeyframeId, MapUpdate, RemovedKeyframe};
 use sqlx::SqliteConnection;
@@ -13,11 +13,11 @@ use std::collections::BTreeSet;
 
 const KEYFRAME_ROWS: MultiRow = MultiRow {
     insert: "INSERT INTO keyframes (session, id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, \
-             parent, n_keypoints, n_points, n_segments, n_lines) VALUES ",
-    n_columns: 17,
+             unit, parent, n_keypoints, n_points, n_segments, n_lines) VALUES ",
+    n_columns: 18,
     conflict: " ON CONFLICT (session, id) DO UPDATE SET submap = excluded.submap, qx = excluded.qx, \
                qy = excluded.qy, qz = excluded.qz, qw = excluded.qw, tx = excluded.tx, ty = excluded.ty, \
-               tz = excluded.tz, parent = excluded.parent, n_points = excluded.n_points, \
+               tz = excluded.tz, unit = excluded.unit, parent = excluded.parent, n_points = excluded.n_points, \
                n_lines = excluded.n_lines",
 };
 
@@ -49,6 +49,7 @@ pub(super) async fn write_keyframes(
             columns.add(to_column("sequence", keyframe.sequence)?)?;
             columns.add(keyframe.timestamp_ns)?;
             pose.into_iter().try_for_each(|value| columns.add(value))?;
+            columns.add(finite("a key frame's unit", keyframe.unit)?)?;
             columns.add(keyframe.parent.map(keyframe_column).transpose()?)?;
             columns.add(keyframe.features.len() as i64)?;
             columns.add(keyframe.n_points() as i64)?;
