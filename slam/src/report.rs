@@ -199,6 +199,29 @@ pub enum MapEvent {
     },
 }
 
+impl MapEvent {
+    /// The key frame that shows the place again, and the one that showed it before.
+    pub fn keyframes(&self) -> (KeyframeId, KeyframeId) {
+        let (Self::LoopClosed { keyframe, matched, .. } | Self::SubmapsMerged { keyframe, matched, .. }) =
+            self;
+        (*keyframe, *matched)
+    }
+
+    /// Points of the place that were found again.
+    pub fn n_matches(&self) -> usize {
+        let (Self::LoopClosed { n_matches, .. } | Self::SubmapsMerged { n_matches, .. }) = self;
+        *n_matches
+    }
+
+    /// The submap that became part of another one, and that one.
+    pub fn submaps(&self) -> Option<(SubmapId, SubmapId)> {
+        match self {
+            Self::LoopClosed { .. } => None,
+            Self::SubmapsMerged { gone, kept, .. } => Some((*gone, *kept)),
+        }
+    }
+}
+
 /// Wall time a named stage took.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StageTime {

@@ -78,4 +78,4 @@ pub use primitives::{PrimitivePage, PrimitiveRecord};
 pub use save::{Committed, KeyframeImage, SessionStatus};
 pub use session::{NewSession, SessionChanges, SessionCounts, SessionOptions, SessionPage, SessionRecord};
 pub use snapshot::MapSnapshot;
-pub use trajectory::{StoredFrame, TrajectoryFilter, TrajectoryKind, TrajectoryPose};
+pub use trajectory::{StoredFrame, SubmapChoice, TrajectoryFilter, TrajectoryKind, TrajectoryPose};

@@ -64,10 +64,12 @@ pub(crate) struct PoseBook {
 impl PoseBook {
     /// Reads the poses of a session; the connection should be in a transaction.
     pub async fn read(connection: &mut SqliteConnection, session: i64) -> Result<Self, StoreError> {
-        let rows = sqlx::query("SELECT id, qx, qy, qz, qw, tx, ty, tz, submap, unit FROM keyframes WHERE session = ?")
-            .bind(session)
-            .fetch_all(&mut *connection)
-            .await?;
+        let rows = sqlx::query(
+            "SELECT id, qx, qy, qz, qw, tx, ty, tz, submap, unit FROM keyframes WHERE session = ?",
+        )
+        .bind(session)
+        .fetch_all(&mut *connection)
+        .await?;
         let keyframes = rows
             .iter()
             .map(|row| Ok((keyframe_id(row.try_get(0)?)?, read_anchor(row)?)))

@@ -7,8 +7,9 @@ use crate::{Store, StoreError};
 use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
 use geometry::Pose;
 use slam::map::{FrameState, KeyframeId, SubmapId};
-use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, SqliteConnection};
+use std::collections::BTreeMap;
 
 /// Which poses a trajectory is made of.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -20,6 +21,18 @@ pub enum TrajectoryKind {
     Keyframes,
 }
 
+/// Whose poses are wanted; poses of a submap that was merged are in the one it became part of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SubmapChoice {
+    /// Every submap's, each in its own frame of reference.
+    #[default]
+    All,
+    /// The submap's with the most poses, the oldest of several.
+    Largest,
+    /// This one's.
+    One(SubmapId),
+}
+
 /// Which part of a trajectory is wanted; by default all of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TrajectoryFilter {
@@ -27,8 +40,8 @@ pub struct TrajectoryFilter {
     pub from_timestamp_ns: Option<i64>,
     /// Last time, nanoseconds.
     pub to_timestamp_ns: Option<i64>,
-    /// Poses in this submap's frame of reference only; poses of a submap that was merged are in the one it became part of.
-    pub submap: Option<SubmapId>,
+    /// Poses of these submaps.
+    pub submaps: SubmapChoice,
 }
 
 /// One pose of a trajectory.
@@ -75,12 +88,18 @@ impl Store {
             .bind(number)
             .fetch_one(&mut *transaction)
             .await?;
+        let submap = match filter.submaps {
+            SubmapChoice::All => None,
+            SubmapChoice::One(submap) => Some(submap),
+            SubmapChoice::Largest => largest_submap(&mut transaction, number, kind, &book).await?,
+        };
         transaction.commit().await?;
         let cursor = Cursor {
             store: self.clone(),
             session: number,
             kind,
             filter,
+            submap,
             book,
             next: 0,
             last: last.unwrap_or(-1),
@@ -99,6 +118,8 @@ struct Cursor {
     session: i64,
     kind: TrajectoryKind,
     filter: TrajectoryFilter,
+    /// The only submap whose poses are wanted.
+    submap: Option<SubmapId>,
     book: PoseBook,
     /// First sequence not yet read.
     next: i64,
@@ -155,7 +176,7 @@ impl Cursor {
             return Ok(None);
         };
         // Submaps merge, so which one a pose is in is known by its key frame alone.
-        if self.filter.submap.is_some_and(|wanted| wanted != submap) {
+        if self.submap.is_some_and(|wanted| wanted != submap) {
             return Ok(None);
         }
         Ok(Some(TrajectoryPose {
@@ -168,6 +189,31 @@ impl Cursor {
             world_from_camera: camera_from_world.inverse(),
         }))
     }
+}
+
+/// The submap with the most poses of a kind; `None` if there are none.
+async fn largest_submap(
+    connection: &mut SqliteConnection,
+    session: i64,
+    kind: TrajectoryKind,
+    book: &PoseBook,
+) -> Result<Option<SubmapId>, StoreError> {
+    let sql = match kind {
+        TrajectoryKind::Frames => {
+            "SELECT reference, count(*) FROM frames WHERE session = ? AND reference IS NOT NULL GROUP BY reference"
+        }
+        TrajectoryKind::Keyframes => "SELECT id, 1 FROM keyframes WHERE session = ?",
+    };
+    let mut n_poses: BTreeMap<SubmapId, i64> = BTreeMap::new();
+    for row in sqlx::query(sql).bind(session).fetch_all(connection).await? {
+        if let Some((submap, _)) = book.locate(keyframe_id(row.try_get(0)?)?, &Pose::identity()) {
+            *n_poses.entry(submap).or_default() += row.try_get::<i64, _>(1)?;
+        }
+    }
+    Ok(n_poses
+        .into_iter()
+        .max_by_key(|(submap, n)| (*n, std::cmp::Reverse(*submap)))
+        .map(|(submap, _)| submap))
 }
 
 /// What one frame of a session came to.

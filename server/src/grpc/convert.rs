@@ -107,6 +107,7 @@ fn frame_event(report: &FrameReport, metres_per_unit: Option<f64>) -> v1::FrameE
         submap_id: result.submap_id,
         is_key_frame: result.is_key_frame,
         relocalised: result.relocalised,
+        corrections: result.corrections,
     }
 }
 
@@ -344,6 +345,20 @@ fn frame_result(report: &FrameReport, metres_per_unit: Option<f64>) -> v1::Frame
         timings: None,
         repeated: false,
         n_keypoints: report.n_keypoints as u32,
+        n_relocalisation_candidates: report.n_relocalisation_candidates.map(|n| n as u32),
+        corrections: report.map_events.iter().map(correction).collect(),
+    }
+}
+
+fn correction(event: &slam::MapEvent) -> v1::MapCorrection {
+    let (keyframe, matched) = event.keyframes();
+    let (submap_gone, submap_kept) = event.submaps().unzip();
+    v1::MapCorrection {
+        keyframe: keyframe.get(),
+        matched_keyframe: matched.get(),
+        n_matches: event.n_matches() as u32,
+        submap_gone: submap_gone.map(|submap| submap.0),
+        submap_kept: submap_kept.map(|submap| submap.0),
     }
 }
 

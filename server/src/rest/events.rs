@@ -37,6 +37,23 @@ pub(super) struct FrameEvent {
     is_key_frame: bool,
     /// The pose was found by recognising the place.
     relocalised: bool,
+    /// Corrections of the map that took effect with this frame.
+    corrections: Vec<MapCorrection>,
+}
+
+/// The map was put right by a place that was seen again.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub(super) struct MapCorrection {
+    /// The key frame that shows the place again.
+    keyframe: u64,
+    /// The key frame that showed it before.
+    matched_keyframe: u64,
+    /// Points of the place that were found again.
+    n_matches: usize,
+    /// The submap that became part of another one; `null` where a loop within a submap was closed.
+    submap_gone: Option<u32>,
+    /// The submap it became part of.
+    submap_kept: Option<u32>,
 }
 
 /// Data of an event `map`: the map was changed. It is in the database a moment later.
@@ -87,6 +104,21 @@ impl FrameEvent {
             submap_id: report.submap.0,
             is_key_frame: report.is_keyframe,
             relocalised: report.relocalised,
+            corrections: report.map_events.iter().map(MapCorrection::from).collect(),
+        }
+    }
+}
+
+impl From<&slam::MapEvent> for MapCorrection {
+    fn from(event: &slam::MapEvent) -> Self {
+        let (keyframe, matched) = event.keyframes();
+        let (submap_gone, submap_kept) = event.submaps().unzip();
+        Self {
+            keyframe: keyframe.get(),
+            matched_keyframe: matched.get(),
+            n_matches: event.n_matches(),
+            submap_gone: submap_gone.map(|submap| submap.0),
+            submap_kept: submap_kept.map(|submap| submap.0),
         }
     }
 }

@@ -13,7 +13,7 @@ use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use slam::map::SubmapId;
 use std::fmt::Write;
-use store::{TrajectoryFilter, TrajectoryKind, TrajectoryPose};
+use store::{SubmapChoice, TrajectoryFilter, TrajectoryKind, TrajectoryPose};
 use tokio_stream::StreamExt;
 use utoipa::{IntoParams, ToSchema};
 
@@ -56,7 +56,8 @@ pub(super) struct Wanted {
     /// Which poses.
     #[param(inline)]
     kind: Kind,
-    /// Poses of this submap only; submaps do not share a frame of reference.
+    /// Poses of this submap only; submaps do not share a frame of reference. By default all submaps in `csv` and `json`,
+    /// which name each pose's, and in the other formats the one with the most poses.
     submap_id: Option<u32>,
     /// First time, nanoseconds.
     from_timestamp_ns: Option<i64>,
@@ -87,7 +88,7 @@ pub(super) async fn trajectory(
     let filter = TrajectoryFilter {
         from_timestamp_ns: wanted.from_timestamp_ns,
         to_timestamp_ns: wanted.to_timestamp_ns,
-        submap: wanted.submap_id.map(SubmapId),
+        submaps: wanted.submap_id.map_or(wanted.format.submaps(), |id| SubmapChoice::One(SubmapId(id))),
     };
     let poses = app.service.store().trajectory(id.as_str(), kind, filter).await?;
 
@@ -109,6 +110,15 @@ pub(super) async fn trajectory(
 }
 
 impl Format {
+    /// Whose poses are written when nothing else is asked for: several frames of reference can only be told apart where
+    /// each pose names its submap.
+    fn submaps(self) -> SubmapChoice {
+        match self {
+            Self::Tum | Self::Euroc | Self::Kitti => SubmapChoice::Largest,
+            Self::Csv | Self::Json => SubmapChoice::All,
+        }
+    }
+
     fn media_type(self) -> &'static str {
         match self {
             Self::Tum | Self::Kitti => "text/plain; charset=utf-8",

@@ -193,7 +193,8 @@ pub struct TrackingConfig {
     /// Share of the landmarks that could be found again which a good pose needs, between `min_inliers` and
     /// `plentiful_inliers`; a weak one needs half of it. Default 0.2: true poses reach 0.3 and more, false ones 0.01.
     pub min_found_share: f64,
-    /// Landmarks that are enough for a pose however many were expected. Default 30: blur and people in the way hide most.
+    /// Landmarks that are enough for a good pose however many were expected, and half of it for a weak one. Default 60:
+    /// in crowded places 35 have been seen to agree by chance, while blur and people in the way may hide all but some.
     pub plentiful_inliers: usize,
     /// Largest standard deviation of a good pose's attitude, degrees. Default 0.4; textured places reach 0.02.
     pub max_rotation_sigma_deg: f64,
@@ -221,7 +222,7 @@ impl Default for TrackingConfig {
             min_inliers: 10,
             min_weak_inliers: 6,
             min_found_share: 0.2,
-            plentiful_inliers: 30,
+            plentiful_inliers: 60,
             max_rotation_sigma_deg: 0.4,
             max_position_sigma_share: 0.01,
             weak_sigma_factor: 5.0,

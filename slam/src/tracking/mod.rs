@@ -114,6 +114,7 @@ impl Tracker {
     pub fn start(&mut self, frame: TrackedFrame, map: &Map) {
         self.last_keyframe = Some(LastKeyframe::of(&frame));
         self.n_since_relocalisation = None;
+        self.last_timestamp_ns = Some(frame.timestamp_ns);
         self.remember(frame, map, None);
     }
 
@@ -212,7 +213,7 @@ impl Tracker {
             self.n_since_relocalisation = Some(0);
         }
         let (placement, n_expected) = self.track_local_map(&mut frame, map);
-        let outcome = judge(&placement, n_expected, &self.config.tracking);
+        let outcome = judge(&placement, n_expected, relocalised || self.is_coasting(), &self.config.tracking);
         self.conclude(frame, placement.inliers, outcome, relocalised, map)
     }
 
@@ -240,7 +241,7 @@ impl Tracker {
         let before = (self.n_since_relocalisation, self.last.take());
         self.n_since_relocalisation = Some(0);
         let (placement, n_expected) = self.track_local_map(&mut frame, map);
-        let outcome = judge(&placement, n_expected, &self.config.tracking);
+        let outcome = judge(&placement, n_expected, true, &self.config.tracking);
         if matches!(outcome, TrackingOutcome::Tracked) {
             return Some(self.conclude(frame, placement.inliers, outcome, true, map));
         }
@@ -406,6 +407,11 @@ impl Tracker {
         self.last = frame.pose_in(map).map(|place| LastFrame { frame, place, unit, motion });
     }
 
+    /// Whether the frame before had no pose.
+    fn is_coasting(&self) -> bool {
+        self.last.as_ref().is_some_and(|last| self.last_timestamp_ns != Some(last.frame.timestamp_ns))
+    }
+
     fn note_seen(&mut self, frame: &TrackedFrame, motion: Option<&(Pose, i64)>, map: &Map) {
         let Some((place, anchor)) = frame.pose_in(map).zip(map.anchor_of(frame.reference)) else { return };
         let (timestamp_ns, unit) = (frame.timestamp_ns, anchor.unit);
@@ -435,7 +441,12 @@ impl Tracker {
 ///
 /// Few landmarks are enough in a place that has few, but where `n_expected` could have been found and hardly any was, the
 /// few agree by chance.
-fn judge(placement: &Placement, n_expected: usize, config: &TrackingConfig) -> TrackingOutcome {
+fn judge(
+    placement: &Placement,
+    n_expected: usize,
+    was_lost: bool,
+    config: &TrackingConfig,
+) -> TrackingOutcome {
     let Placement { inliers, uncertainty } = *placement;
     let n_inliers = inliers.total();
     let max_rotation_rad = config.max_rotation_sigma_deg.to_radians();
@@ -443,11 +454,17 @@ fn judge(placement: &Placement, n_expected: usize, config: &TrackingConfig) -> T
         uncertainty.rotation_rad <= factor * max_rotation_rad
             && uncertainty.position_share <= factor * config.max_position_sigma_share
     };
-    let n_required_of = |share: f64, least: usize| {
-        ((share * n_expected as f64).ceil() as usize).clamp(least, config.plentiful_inliers)
+    let n_required_of = |share: f64, least: usize, plenty: usize| {
+        ((share * n_expected as f64).ceil() as usize).clamp(least, plenty)
     };
-    let n_required_weak = n_required_of(0.5 * config.min_found_share, config.min_weak_inliers);
-    let n_required_good = n_required_of(config.min_found_share, config.min_inliers);
+    let n_required_good = n_required_of(config.min_found_share, config.min_inliers, config.plentiful_inliers);
+    let n_required_weak = n_required_of(
+        0.5 * config.min_found_share,
+        config.min_weak_inliers,
+        config.plentiful_inliers.div_ceil(2),
+    );
+    // A camera that was lost may be anywhere: a weak pose is no evidence that it was found.
+    let n_required_weak = if was_lost { n_required_good } else { n_required_weak };
     if n_inliers < n_required_weak {
         let n_required = n_required_weak;
         TrackingOutcome::Lost(LostReason::TooFewInliers { n_inliers, n_required })

@@ -2,7 +2,7 @@ use crate::world::*;
 use futures_util::TryStreamExt;
 use slam::MapUpdate;
 use slam::map::{FrameRecord, FrameState, MapChanges, MapParts, RemovedKeyframe, SubmapId};
-use store::{Store, StoreError, TrajectoryFilter, TrajectoryKind, TrajectoryPose};
+use store::{Store, StoreError, SubmapChoice, TrajectoryFilter, TrajectoryKind, TrajectoryPose};
 
 async fn trajectory(store: &Store, kind: TrajectoryKind, filter: TrajectoryFilter) -> Vec<TrajectoryPose> {
     store.trajectory("s", kind, filter).await.unwrap().try_collect().await.unwrap()
@@ -111,11 +111,14 @@ async fn a_trajectory_can_be_cut_by_time_and_submap() {
     let filter = TrajectoryFilter {
         from_timestamp_ns: time(40),
         to_timestamp_ns: time(1100),
-        submap: Some(SubmapId(1)),
+        submaps: SubmapChoice::One(SubmapId(1)),
     };
     // Its key frames became part of submap 0.
     assert_eq!(trajectory(&store, TrajectoryKind::Frames, filter).await, []);
-    let filter = TrajectoryFilter { submap: Some(SubmapId(0)), ..filter };
+    let filter = TrajectoryFilter { submaps: SubmapChoice::One(SubmapId(0)), ..filter };
+    let part = trajectory(&store, TrajectoryKind::Frames, filter).await;
+    assert_eq!(sequences(part), (40..=1100).collect::<Vec<_>>());
+    let filter = TrajectoryFilter { submaps: SubmapChoice::Largest, ..filter };
     let part = trajectory(&store, TrajectoryKind::Frames, filter).await;
     assert_eq!(sequences(part), (40..=1100).collect::<Vec<_>>());
 }
