@@ -1,7 +1,9 @@
 //! Runs the engine over a rendered sequence whose truth is known and prints how well it did.
 //!
-//! `cargo run --release -p slam --example track_synthetic -- PRESET SEED [--inline] [--frames N] [--no-loops] [--no-lines]
+//! `cargo run --release -p slam --example track_synthetic -- PRESET SEED|FIRST..LAST [--inline] [--frames N] [--no-loops] [--no-lines]
 //! [--no-primitives] [--verbose] [--out TRAJECTORY.txt] [--images FOLDER]`
+//!
+//! Several seeds make a table as well.
 //!
 //! Rendering takes longer than tracking: `--images` keeps the images of this preset and seed for the next run.
 //!
@@ -35,14 +37,53 @@ impl Clock for WallClock {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let flag = |name: &str| arguments.iter().any(|argument| argument == name);
-    let value = |name: &str| arguments.iter().position(|a| a == name).and_then(|at| arguments.get(at + 1));
-    let [preset, seed, ..] = arguments.as_slice() else {
-        return Err("usage: track_synthetic PRESET SEED".into());
+    let arguments = Arguments(std::env::args().skip(1).collect());
+    let [preset, seeds, ..] = arguments.0.as_slice() else {
+        return Err("usage: track_synthetic PRESET SEED|FIRST..LAST".into());
     };
-    let seed: u64 = seed.parse()?;
-    let sequence = Sequence::preset(preset.parse::<Preset>()?, seed);
+    let preset: Preset = preset.parse()?;
+    let (first, last) = seeds.split_once("..").unwrap_or((seeds, seeds));
+    let seeds: Vec<u64> = (first.parse()?..=last.parse()?).collect();
+    let mut rows = Vec::new();
+    for seed in &seeds {
+        rows.push(track(preset, *seed, &arguments)?);
+    }
+    if seeds.len() > 1 {
+        print_table(preset, &seeds, &rows);
+    }
+    Ok(())
+}
+
+/// The words of the command line.
+struct Arguments(Vec<String>);
+
+impl Arguments {
+    fn flag(&self, name: &str) -> bool {
+        self.0.iter().any(|argument| argument == name)
+    }
+
+    fn value(&self, name: &str) -> Option<&String> {
+        self.0.iter().position(|argument| argument == name).and_then(|at| self.0.get(at + 1))
+    }
+}
+
+/// What became of one sequence, for the table.
+struct Row {
+    /// Share of the frames with a pose in the largest submap.
+    coverage: f64,
+    n_submaps: usize,
+    n_loops: usize,
+    n_merges: usize,
+    /// Of the largest submap; root mean square error as a share of the path.
+    ate_share: Option<f64>,
+    /// Turn from the first frame to the last, degrees.
+    drift_deg: Option<f64>,
+}
+
+fn track(preset: Preset, seed: u64, arguments: &Arguments) -> Result<Row, Box<dyn Error>> {
+    let flag = |name: &str| arguments.flag(name);
+    let value = |name: &str| arguments.value(name);
+    let sequence = Sequence::preset(preset, seed);
     let mut config = SlamConfig { seed, ..SlamConfig::default() };
     config.threading = if flag("--inline") { Threading::Inline } else { Threading::Background };
     config.features.loop_closing = !flag("--no-loops");
@@ -89,9 +130,48 @@ fn main() -> Result<(), Box<dyn Error>> {
     if let Some(out) = value("--out") {
         std::fs::write(out, places.to_tum(&sequence))?;
     }
+    let (n_loops, n_merges) = (run.n_loops, run.n_merges);
     run.print(&map);
     places.print(&sequence, n_frames);
-    Ok(())
+    let largest = places.0.values().max_by_key(|places| places.len());
+    let score = largest.and_then(|places| Score::of(places, &sequence));
+    Ok(Row {
+        coverage: largest.map_or(0, BTreeMap::len) as f64 / n_frames as f64,
+        n_submaps: places.0.len(),
+        n_loops,
+        n_merges,
+        ate_share: score.as_ref().map(|score| score.ate / score.path),
+        drift_deg: score.as_ref().map(|score| score.rotation_drift_deg),
+    })
+}
+
+fn print_table(preset: Preset, seeds: &[u64], rows: &[Row]) {
+    println!(
+        "\n| {preset:?}, seed | coverage | submaps | loops | mergers | ATE, % of the path | drift of the attitude, deg |"
+    );
+    println!("| ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
+    let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.3}"));
+    for (seed, row) in seeds.iter().zip(rows) {
+        println!(
+            "| {seed} | {:.3} | {} | {} | {} | {} | {} |",
+            row.coverage,
+            row.n_submaps,
+            row.n_loops,
+            row.n_merges,
+            number(row.ate_share.map(|share| 100.0 * share)),
+            number(row.drift_deg),
+        );
+    }
+    let mut errors: Vec<f64> = rows.iter().map(|row| row.ate_share.unwrap_or(f64::INFINITY)).collect();
+    errors.sort_by(f64::total_cmp);
+    println!(
+        "\n{} of {} runs cover more than 95 % of the frames, {} are within 2 % of the path; median {:.3} %, worst {:.3} %.",
+        rows.iter().filter(|row| row.coverage > 0.95).count(),
+        rows.len(),
+        errors.iter().filter(|error| **error < 0.02).count(),
+        100.0 * errors[errors.len() / 2],
+        100.0 * errors[errors.len() - 1],
+    );
 }
 
 /// How far apart the two views of a recognised place really are.
