@@ -32,14 +32,12 @@ impl Reach {
             map.keyframes_of(submap).filter(|keyframe| keyframe.timestamp_ns < timestamp_ns).collect();
         before.sort_by_key(|keyframe| keyframe.timestamp_ns);
         let newest = &before[before.len().saturating_sub(N_SPEED_KEYFRAMES)..];
-        let speed_per_ns = newest
+        let (first, last) = (newest.first()?, newest.last()?);
+        let way: f64 = newest
             .windows(2)
-            .map(|pair| {
-                let way = pair[0].camera_from_world.centre() - pair[1].camera_from_world.centre();
-                way.norm() / (pair[1].timestamp_ns - pair[0].timestamp_ns).max(1) as f64
-            })
-            .max_by(f64::total_cmp)?;
-        let last = newest.last()?;
+            .map(|pair| (pair[0].camera_from_world.centre() - pair[1].camera_from_world.centre()).norm())
+            .sum();
+        let speed_per_ns = way / (last.timestamp_ns - first.timestamp_ns).max(1) as f64;
         Self::from(
             map,
             last.id,

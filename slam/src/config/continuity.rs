@@ -5,7 +5,7 @@
 pub struct ContinuityConfig {
     /// Time after which the camera may be anywhere, nanoseconds. Default 10 s.
     pub max_elapsed_ns: i64,
-    /// How many times as fast as before it may have moved. Default 1.5.
+    /// How many times as fast as before it may have moved on the mean. Default 2.
     pub speed_factor: f64,
     /// How far it may be in any case, as a share of the median depth of what it saw. Default 0.5.
     pub depth_share: f64,
@@ -16,6 +16,6 @@ pub struct ContinuityConfig {
 
 impl Default for ContinuityConfig {
     fn default() -> Self {
-        Self { max_elapsed_ns: 10_000_000_000, speed_factor: 1.5, depth_share: 0.5, n_beyond_doubt: 100 }
+        Self { max_elapsed_ns: 10_000_000_000, speed_factor: 2.0, depth_share: 0.5, n_beyond_doubt: 100 }
     }
 }

@@ -29,8 +29,8 @@ use std::sync::Arc;
 
 /// A gap in time longer than this many frame intervals is not bridged by the motion model: half a second of video.
 const MAX_EXTRAPOLATION: f64 = 15.0;
-/// What remains after a frame of the highest speed so far: a third after a second of video.
-const SPEED_DECAY: f64 = 0.97;
+/// Share of the latest interval in the mean speed, which so spans a third of a second of video.
+const SPEED_UPDATE: f64 = 0.1;
 /// Frames after a relocalisation in which the local map is searched more widely, and how much.
 const WIDE_SEARCH_FRAMES: u64 = 10;
 const WIDE_SEARCH_FACTOR: f64 = 2.5;
@@ -71,7 +71,7 @@ pub(crate) struct Tracker {
 struct LastSeen {
     place: FramePose,
     timestamp_ns: i64,
-    /// Map units per nanosecond, the fastest of late.
+    /// Map units per nanosecond, the mean of late.
     speed: f64,
     /// The unit of the reference key frame that the speed is in.
     unit: f64,
@@ -395,7 +395,9 @@ impl Tracker {
             (motion, frame.timestamp_ns - last.frame.timestamp_ns)
         });
         self.line_tracks.remember(&frame);
-        self.note_seen(&frame, motion.as_ref(), map);
+        // Weak poses jump about: their motion says nothing of the camera's.
+        let is_good = matches!(outcome, TrackingOutcome::Tracked);
+        self.note_seen(&frame, motion.as_ref().filter(|_| is_good), map);
         self.remember(frame.clone(), map, motion);
         let searched = self.relocaliser.as_ref().filter(|_| relocalised);
         let n_candidates = searched.map(Relocaliser::n_candidates);
@@ -415,10 +417,14 @@ impl Tracker {
     fn note_seen(&mut self, frame: &TrackedFrame, motion: Option<&(Pose, i64)>, map: &Map) {
         let Some((place, anchor)) = frame.pose_in(map).zip(map.anchor_of(frame.reference)) else { return };
         let (timestamp_ns, unit) = (frame.timestamp_ns, anchor.unit);
-        let now = motion
-            .map_or(0.0, |(motion, interval_ns)| motion.translation.norm() / interval_ns.abs().max(1) as f64);
-        let before = self.last_seen.get(&frame.submap).map_or(0.0, |seen| seen.speed * unit / seen.unit);
-        let speed = now.max(SPEED_DECAY * before);
+        let now =
+            motion.map(|(motion, interval_ns)| motion.translation.norm() / interval_ns.abs().max(1) as f64);
+        let known = self.last_seen.get(&frame.submap).filter(|seen| seen.speed > 0.0);
+        let before = known.map(|seen| seen.speed * unit / seen.unit);
+        let speed = match (before, now) {
+            (Some(before), Some(now)) => before + SPEED_UPDATE * (now - before),
+            (before, now) => before.or(now).unwrap_or(0.0),
+        };
         self.last_seen.insert(frame.submap, LastSeen { place, timestamp_ns, speed, unit });
     }
 
