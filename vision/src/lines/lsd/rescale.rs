@@ -21,10 +21,20 @@ pub(super) struct Shrunk {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rescaler {
     shrunk: Shrunk,
+    /// Rows of the original in floating point, for as long as they are needed: row `y` is in slot `y % n`.
+    rows_in_use: Vec<RowInUse>,
     /// A row of the original's width, blended from several.
     blended: Vec<f32>,
     columns: Taps,
     rows: Taps,
+}
+
+/// A row of the original.
+#[derive(Clone, Debug, Default)]
+struct RowInUse {
+    /// Of no image at first.
+    y: Option<usize>,
+    pixels: Vec<f32>,
 }
 
 /// Which old pixels make up each new one along an axis.
@@ -100,14 +110,17 @@ impl Rescaler {
         let margin = columns.margin;
         // The first tap may start at a margin's pixel, the last may end beyond the other, with weights of 0.
         self.blended.resize(width + 2 * margin + columns.n_weights, 0.0);
+        self.rows_in_use.resize_with(rows.n_weights, RowInUse::default);
+        self.rows_in_use.iter_mut().for_each(|row| row.y = None);
         for (y, out) in self.shrunk.pixels.chunks_exact_mut(columns.n_new).enumerate() {
             let (start, weights) = rows.of(y);
             let blended = &mut self.blended[margin..margin + width];
             blended.fill(0.0);
             for (j, &weight) in weights.iter().enumerate().filter(|&(_, &weight)| weight > 0.0) {
-                let row = image.row(rows.mirrored(start + j) as u32);
+                let y = rows.mirrored(start + j);
+                let row = self.rows_in_use[y % rows.n_weights].hold(image, y);
                 for (sum, &pixel) in blended.iter_mut().zip(row) {
-                    *sum += weight * f32::from(pixel);
+                    *sum += weight * pixel;
                 }
             }
             for i in 0..margin {
@@ -115,25 +128,39 @@ impl Rescaler {
                 self.blended[margin + width + i] =
                     self.blended[margin + columns.mirrored(margin + width + i)];
             }
-            for (x, out) in out.iter_mut().enumerate() {
-                let (start, weights) = columns.of(x);
-                *out = dot(weights, &self.blended[start..]);
+            let weights = columns.weights.chunks_exact(columns.n_weights);
+            for ((out, &start), weights) in out.iter_mut().zip(&columns.starts).zip(weights) {
+                *out = dot(weights, &self.blended[start..][..columns.n_weights]);
             }
         }
         &self.shrunk
     }
 }
 
+impl RowInUse {
+    /// Row `y` of `image`, taken over if it is not what is here.
+    fn hold(&mut self, image: &GrayImage, y: usize) -> &[f32] {
+        if self.y != Some(y) {
+            self.y = Some(y);
+            self.pixels.clear();
+            self.pixels.extend(image.row(y as u32).iter().map(|&pixel| f32::from(pixel)));
+        }
+        &self.pixels
+    }
+}
+
 /// The scalar product of `weights`, a multiple of [`LANES`] long, with as many values.
 #[inline]
 fn dot(weights: &[f32], values: &[f32]) -> f32 {
+    let (weights, values) = (weights.as_chunks::<LANES>().0, values.as_chunks::<LANES>().0);
     let mut sums = [0.0f32; LANES];
-    for (weights, values) in weights.chunks_exact(LANES).zip(values.chunks_exact(LANES)) {
+    for (weights, values) in weights.iter().zip(values) {
         for i in 0..LANES {
             sums[i] += weights[i] * values[i];
         }
     }
-    sums.iter().sum()
+    let pairs: [f32; LANES / 2] = std::array::from_fn(|i| sums[i] + sums[i + LANES / 2]);
+    (pairs[0] + pairs[2]) + (pairs[1] + pairs[3])
 }
 
 #[cfg(test)]
