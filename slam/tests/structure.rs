@@ -1,48 +1,16 @@
 //! Lines and global primitives of rendered rooms against the true segments and directions.
 
+mod common;
+
+use common::{pipeline, run, truth_from_map};
 use geometry::nalgebra::Vector3;
 use geometry::{Direction, Similarity};
-use slam::map::{KeyframeId, LineLandmark};
-use slam::{FeatureSwitches, Frame, FrameReport, Map, NoClock, Pipeline, ResumeState, SlamConfig, Threading};
+use slam::map::LineLandmark;
+use slam::{FeatureSwitches, ResumeState};
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use synthetic::{Preset, Sequence};
-use vision::GrayImage;
 
 const N_FRAMES: usize = 150;
-
-fn pipeline(sequence: &Sequence, features: FeatureSwitches, state: ResumeState) -> Pipeline {
-    let config = SlamConfig { threading: Threading::Inline, seed: 3, features, ..SlamConfig::default() };
-    Pipeline::resume(config, sequence.camera().clone(), Arc::new(NoClock), state).unwrap()
-}
-
-fn run(pipeline: &mut Pipeline, sequence: &Sequence, frames: std::ops::Range<usize>) -> Vec<FrameReport> {
-    let reports = frames
-        .map(|index| {
-            let rendered = sequence.frame(index).image;
-            let image =
-                GrayImage::from_raw(rendered.width(), rendered.height(), rendered.into_pixels()).unwrap();
-            let timestamp_ns = index as i64 * 33_333_333;
-            let report =
-                pipeline.process_frame(Frame { sequence: index as u64, timestamp_ns, image }).unwrap();
-            pipeline.take_updates().iter().for_each(|update| update.map.check().unwrap());
-            report
-        })
-        .collect();
-    pipeline.finish();
-    reports
-}
-
-/// Takes the map to the true world: a similarity over the key frames' positions, with the mean of their attitudes.
-fn truth_from_map(map: &Map, sequence: &Sequence) -> Similarity {
-    let index: BTreeMap<KeyframeId, usize> =
-        map.keyframes().map(|keyframe| (keyframe.id, keyframe.sequence as usize)).collect();
-    let estimate: Vec<Vector3<f64>> =
-        map.keyframes().map(|keyframe| keyframe.camera_from_world.centre()).collect();
-    let truth: Vec<Vector3<f64>> =
-        index.values().map(|index| sequence.camera_from_world(*index).centre()).collect();
-    Similarity::from_correspondences(&estimate, &truth, true).unwrap()
-}
 
 /// Angle to the nearest true segment that runs along it, degrees, and distance of its middle from that segment's line.
 fn error_of(line: &LineLandmark, truth_from_map: &Similarity, sequence: &Sequence) -> Option<(f64, f64)> {
