@@ -282,8 +282,8 @@ impl LineVerdict {
 /// What mapping made of a track of segments at a key frame. One refused is judged again when the track has grown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineJudgement {
-    /// The key frame that brought the newest view.
-    pub keyframe: KeyframeId,
+    /// The client's number of the frame whose key frame brought the newest view.
+    pub sequence: u64,
     /// The submap it is in.
     pub submap: SubmapId,
     /// Number of the track.

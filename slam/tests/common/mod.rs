@@ -2,11 +2,11 @@
 
 use geometry::Similarity;
 use geometry::nalgebra::Vector3;
-use slam::map::KeyframeId;
+use slam::map::SubmapId;
 use slam::{FeatureSwitches, Frame, FrameReport, Map, NoClock, Pipeline, ResumeState, SlamConfig, Threading};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use synthetic::Sequence;
+use synthetic::{Sequence, World};
 use vision::GrayImage;
 
 pub fn pipeline(sequence: &Sequence, features: FeatureSwitches, state: ResumeState) -> Pipeline {
@@ -36,13 +36,45 @@ pub fn run(
     reports
 }
 
-/// Takes the map to the true world: a similarity over the key frames' positions, with the mean of their attitudes.
-pub fn truth_from_map(map: &Map, sequence: &Sequence) -> Similarity {
-    let index: BTreeMap<KeyframeId, usize> =
-        map.keyframes().map(|keyframe| (keyframe.id, keyframe.sequence as usize)).collect();
+/// The submap with the most key frames.
+pub fn largest_submap(map: &Map) -> Option<SubmapId> {
+    let mut sizes: BTreeMap<SubmapId, usize> = BTreeMap::new();
+    map.keyframes().for_each(|keyframe| *sizes.entry(keyframe.submap).or_default() += 1);
+    sizes.into_iter().max_by_key(|(_, size)| *size).map(|(submap, _)| submap)
+}
+
+/// Takes the map's largest submap to the true world: a similarity over the key frames' positions, with the mean of their
+/// attitudes. `None` if there are too few key frames.
+pub fn truth_from_map(map: &Map, sequence: &Sequence) -> Option<Similarity> {
+    let submap = largest_submap(map)?;
+    let keyframes = || map.keyframes().filter(|keyframe| keyframe.submap == submap);
     let estimate: Vec<Vector3<f64>> =
-        map.keyframes().map(|keyframe| keyframe.camera_from_world.centre()).collect();
+        keyframes().map(|keyframe| keyframe.camera_from_world.centre()).collect();
     let truth: Vec<Vector3<f64>> =
-        index.values().map(|index| sequence.camera_from_world(*index).centre()).collect();
-    Similarity::from_correspondences(&estimate, &truth, true).unwrap()
+        keyframes().map(|keyframe| sequence.camera_from_world(keyframe.sequence as usize).centre()).collect();
+    Similarity::from_correspondences(&estimate, &truth, true)
+}
+
+/// How far a line is from an edge of the world.
+#[derive(Clone, Copy, Debug)]
+pub struct LineError {
+    pub angle_deg: f64,
+    /// Of the line's middle from the edge, which is where it ends, world units.
+    pub distance: f64,
+}
+
+/// The error of a line, given by its ends in the true world, against the nearest edge that runs within 10 degrees of it;
+/// `None` if there is no such edge.
+pub fn line_error(ends: &[Vector3<f64>; 2], world: &World) -> Option<LineError> {
+    const MAX_ANGLE_DEG: f64 = 10.0;
+    let direction = (ends[1] - ends[0]).normalize();
+    let middle = (ends[0] + ends[1]) / 2.0;
+    let errors = world.segments().iter().map(|edge| {
+        let vector = edge.end - edge.start;
+        let along = vector.normalize();
+        let angle_deg = along.cross(&direction).norm().atan2(along.dot(&direction).abs()).to_degrees();
+        let nearest = edge.start + along * (middle - edge.start).dot(&along).clamp(0.0, vector.norm());
+        LineError { angle_deg, distance: (middle - nearest).norm() }
+    });
+    errors.filter(|error| error.angle_deg < MAX_ANGLE_DEG).min_by(|a, b| a.distance.total_cmp(&b.distance))
 }

@@ -75,7 +75,7 @@ impl LineMapper {
     fn extend_track(&mut self, map: &mut Map, id: KeyframeId, track: u64, config: &SlamConfig) {
         let (Some(keyframe), Some(views)) = (map.keyframe(id), self.tracks.get(&track)) else { return };
         let Some(newest) = views.last() else { return };
-        let submap = keyframe.submap;
+        let (sequence, submap) = (keyframe.sequence, keyframe.submap);
         let known = views.iter().rev().find_map(|seen| {
             map.keyframe(seen.keyframe).and_then(|seen_in| seen_in.lines[seen.feature_idx as usize])
         });
@@ -99,7 +99,7 @@ impl LineMapper {
         let verdict = candidate.outcome.as_ref().err().copied().unwrap_or(LineVerdict::Made);
         let endpoints_in_camera =
             candidate.place.endpoints.map(|end| keyframe.camera_from_world.transform(&end));
-        self.judgements.push(LineJudgement { keyframe: id, submap, track, endpoints_in_camera, verdict });
+        self.judgements.push(LineJudgement { sequence, submap, track, endpoints_in_camera, verdict });
         if let Ok(observations) = candidate.outcome {
             self.recent.extend(map.add_line(&candidate.place, id, &observations));
         }
