@@ -43,8 +43,8 @@ pub fn largest_submap(map: &Map) -> Option<SubmapId> {
     sizes.into_iter().max_by_key(|(_, size)| *size).map(|(submap, _)| submap)
 }
 
-/// Takes the map's largest submap to the true world: a similarity over the key frames' positions, with the mean of their
-/// attitudes. `None` if there are too few key frames.
+/// Takes the map's largest submap to the true world: a similarity over the key frames' positions. `None` if there are too
+/// few of them or they lie on a straight line.
 pub fn truth_from_map(map: &Map, sequence: &Sequence) -> Option<Similarity> {
     let submap = largest_submap(map)?;
     let keyframes = || map.keyframes().filter(|keyframe| keyframe.submap == submap);
