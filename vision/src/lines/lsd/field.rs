@@ -107,19 +107,18 @@ impl Field {
         self.seeds.len()
     }
 
-    /// The seed of rank `i`.
-    pub fn seed(&self, i: usize) -> Pixel {
-        let at = self.seeds[i] as usize - self.stride - 1;
-        Pixel { x: (at % self.stride) as u32, y: (at / self.stride) as u32 }
+    /// The seed of rank `i`, if no region has taken it.
+    pub fn seed(&self, i: usize) -> Option<Pixel> {
+        let at = self.seeds[i] as usize;
+        (self.taken[at] == 0).then(|| {
+            let at = at as u32 - self.stride as u32 - 1;
+            Pixel { x: at % self.stride as u32, y: at / self.stride as u32 }
+        })
     }
 
     /// The element of a pixel.
     #[inline]
     pub fn at(&self, pixel: Pixel) -> usize {
         (pixel.y as usize + 1) * self.stride + pixel.x as usize + 1
-    }
-
-    pub fn is_free(&self, pixel: Pixel) -> bool {
-        self.taken[self.at(pixel)] == 0
     }
 }
