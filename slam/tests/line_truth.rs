@@ -68,6 +68,18 @@ impl Tally {
         }
     }
 
+    /// No step removes as many true candidates as false ones, or more.
+    fn check_steps(&self) {
+        for step in [LineVerdict::Reprojection, LineVerdict::Sensitivity, LineVerdict::Overlap] {
+            let [n_false, n_true] = self.candidates.get(&step).copied().unwrap_or_default();
+            assert!(
+                n_false > n_true || n_false + n_true == 0,
+                "{}: removed {n_false} false lines and {n_true} true ones",
+                step.name()
+            );
+        }
+    }
+
     fn median(&self, value: impl Fn(&LineError) -> f64) -> f64 {
         let mut values: Vec<f64> = self.errors.iter().map(value).collect();
         values.sort_by(f64::total_cmp);
@@ -128,14 +140,7 @@ fn lines_of_twenty_poor_rooms_are_true_and_verification_removes_false_ones() {
     let (angle_deg, distance) = (sum.median(|error| error.angle_deg), sum.median(|error| error.distance));
     assert!(angle_deg < 0.4 && distance < 0.02, "median error {angle_deg:.2} degrees, {distance:.4} m");
     assert!(sum.share_right() > 0.45, "{:.2} within 1 degree and 2 cm", sum.share_right());
-    for step in [LineVerdict::Reprojection, LineVerdict::Sensitivity, LineVerdict::Overlap] {
-        let [n_false, n_true] = sum.candidates.get(&step).copied().unwrap_or_default();
-        assert!(
-            n_false > n_true || n_false + n_true == 0,
-            "{}: removed {n_false} false lines and {n_true} true ones",
-            step.name()
-        );
-    }
+    sum.check_steps();
     // The other two find nothing to remove in these rooms: see the figures of more.
     let [n_false, _] = sum.candidates.get(&LineVerdict::Reprojection).copied().unwrap_or_default();
     assert!(n_false >= 3, "reprojection removed only {n_false} false lines");
@@ -144,10 +149,6 @@ fn lines_of_twenty_poor_rooms_are_true_and_verification_removes_false_ones() {
 #[test]
 #[ignore = "takes minutes: prints the figures of docs/LINES.md"]
 fn figures_of_many_rooms_and_corridors() {
-    let rooms = study(Preset::RoomPoor, 1..=60, 75, 2);
+    study(Preset::RoomPoor, 1..=60, 75, 2).check_steps();
     study(Preset::CorridorStraight, 1..=6, 100, 1);
-    for step in [LineVerdict::Reprojection, LineVerdict::Sensitivity, LineVerdict::Overlap] {
-        let [n_false, n_true] = rooms.candidates.get(&step).copied().unwrap_or_default();
-        assert!(n_false > n_true, "{}: removed {n_false} false lines and {n_true} true ones", step.name());
-    }
 }
