@@ -26,4 +26,7 @@ pub use config::{
 };
 pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::{Frame, FrameError, Pipeline, ResumeError, ResumeState};
-pub use report::{FrameReport, InitialisationWait, LostReason, MapEvent, PoseUncertainty, TrackingOutcome};
+pub use report::{
+    FrameReport, InitialisationWait, LineJudgement, LineVerdict, LostReason, MapEvent, PoseUncertainty,
+    TrackingOutcome,
+};

@@ -10,7 +10,7 @@ use crate::map::{
 };
 use crate::mapping::stage::MappingStage;
 use crate::mapping::{InitialMap, Mapper, NewKeyframe};
-use crate::report::{FrameReport, InitialisationWait, LostReason, TrackingOutcome};
+use crate::report::{FrameReport, InitialisationWait, LineJudgement, LostReason, TrackingOutcome};
 use crate::tracking::frame::{Inliers, TrackedFrame};
 use crate::tracking::{Tracked, Tracker};
 use geometry::{Camera, Pose};
@@ -223,6 +223,11 @@ impl Pipeline {
     /// The map updates that are ready to be stored, oldest first. Call after each frame.
     pub fn take_updates(&mut self) -> Vec<MapUpdate> {
         self.mapping.take_updates()
+    }
+
+    /// What mapping made of candidate lines since this was last called, oldest first; if that was long ago, the newest.
+    pub fn take_line_judgements(&mut self) -> Vec<LineJudgement> {
+        self.mapping.take_line_judgements()
     }
 
     /// Lets mapping finish what it has begun and hands out every frame not yet in an update.

@@ -2,6 +2,7 @@
 
 use crate::map::{FrameState, KeyframeId, SubmapId};
 use geometry::Pose;
+use geometry::nalgebra::Vector3;
 use std::fmt;
 use vision::lines::LineTrackingStatistics;
 
@@ -268,4 +269,50 @@ pub struct FrameReport {
     pub wall_ns: u64,
     /// CPU time of the tracking thread, nanoseconds; 0 without a clock.
     pub cpu_ns: u64,
+}
+
+/// Whether a candidate line entered the map, or which test, in this order, turned it away.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum LineVerdict {
+    /// The line is in the map.
+    Made,
+    /// The views do not determine its depth.
+    UncertainDepth,
+    /// It is much farther away than the rest of the scene.
+    TooFar,
+    /// Too few views show a segment where it projects.
+    Reprojection,
+    /// Too few of those left see it from the side.
+    Sensitivity,
+    /// Too few of those left show the same part of it.
+    Overlap,
+}
+
+impl LineVerdict {
+    /// The verdict in one word, such as `uncertain_depth`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Made => "made",
+            Self::UncertainDepth => "uncertain_depth",
+            Self::TooFar => "too_far",
+            Self::Reprojection => "reprojection",
+            Self::Sensitivity => "sensitivity",
+            Self::Overlap => "overlap",
+        }
+    }
+}
+
+/// What mapping made of a track of segments at a key frame. One refused is judged again when the track has grown.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LineJudgement {
+    /// The client's number of the frame whose key frame brought the newest view.
+    pub sequence: u64,
+    /// The submap it is in.
+    pub submap: SubmapId,
+    /// Number of the track.
+    pub track: u64,
+    /// Ends of the candidate in the key frame's camera, map units: the world may be corrected later.
+    pub endpoints_in_camera: [Vector3<f64>; 2],
+    /// What came of it.
+    pub verdict: LineVerdict,
 }

@@ -1,62 +1,14 @@
 //! Lines and global primitives of rendered rooms against the true segments and directions.
 
-use geometry::nalgebra::Vector3;
-use geometry::{Direction, Similarity};
-use slam::map::{KeyframeId, LineLandmark};
-use slam::{FeatureSwitches, Frame, FrameReport, Map, NoClock, Pipeline, ResumeState, SlamConfig, Threading};
+mod common;
+
+use common::{LineError, line_error, pipeline, run, truth_from_map};
+use geometry::Direction;
+use slam::{FeatureSwitches, ResumeState};
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use synthetic::{Preset, Sequence};
-use vision::GrayImage;
 
 const N_FRAMES: usize = 150;
-
-fn pipeline(sequence: &Sequence, features: FeatureSwitches, state: ResumeState) -> Pipeline {
-    let config = SlamConfig { threading: Threading::Inline, seed: 3, features, ..SlamConfig::default() };
-    Pipeline::resume(config, sequence.camera().clone(), Arc::new(NoClock), state).unwrap()
-}
-
-fn run(pipeline: &mut Pipeline, sequence: &Sequence, frames: std::ops::Range<usize>) -> Vec<FrameReport> {
-    let reports = frames
-        .map(|index| {
-            let rendered = sequence.frame(index).image;
-            let image =
-                GrayImage::from_raw(rendered.width(), rendered.height(), rendered.into_pixels()).unwrap();
-            let timestamp_ns = index as i64 * 33_333_333;
-            let report =
-                pipeline.process_frame(Frame { sequence: index as u64, timestamp_ns, image }).unwrap();
-            pipeline.take_updates().iter().for_each(|update| update.map.check().unwrap());
-            report
-        })
-        .collect();
-    pipeline.finish();
-    reports
-}
-
-/// Takes the map to the true world: a similarity over the key frames' positions, with the mean of their attitudes.
-fn truth_from_map(map: &Map, sequence: &Sequence) -> Similarity {
-    let index: BTreeMap<KeyframeId, usize> =
-        map.keyframes().map(|keyframe| (keyframe.id, keyframe.sequence as usize)).collect();
-    let estimate: Vec<Vector3<f64>> =
-        map.keyframes().map(|keyframe| keyframe.camera_from_world.centre()).collect();
-    let truth: Vec<Vector3<f64>> =
-        index.values().map(|index| sequence.camera_from_world(*index).centre()).collect();
-    Similarity::from_correspondences(&estimate, &truth, true).unwrap()
-}
-
-/// Angle to the nearest true segment that runs along it, degrees, and distance of its middle from that segment's line.
-fn error_of(line: &LineLandmark, truth_from_map: &Similarity, sequence: &Sequence) -> Option<(f64, f64)> {
-    let ends = line.endpoints.map(|end| truth_from_map.transform(&end));
-    let direction = (ends[1] - ends[0]).normalize();
-    let middle = (ends[0] + ends[1]) / 2.0;
-    let of_segment = |a: &Vector3<f64>, b: &Vector3<f64>| {
-        let along = (b - a).normalize();
-        let angle = along.cross(&direction).norm().atan2(along.dot(&direction).abs()).to_degrees();
-        (angle, (middle - a).cross(&along).norm())
-    };
-    let errors = sequence.world().segments().iter().map(|segment| of_segment(&segment.start, &segment.end));
-    errors.filter(|(angle, _)| *angle < 10.0).min_by(|a, b| a.1.total_cmp(&b.1))
-}
 
 #[test]
 fn lines_of_a_poor_room_lie_on_its_edges() {
@@ -67,12 +19,16 @@ fn lines_of_a_poor_room_lie_on_its_edges() {
     assert!(map.n_lines() >= 20, "only {} lines", map.n_lines());
     assert!(reports.iter().filter(|report| report.n_inlier_lines >= 5).count() > N_FRAMES / 2);
 
-    let truth_from_map = truth_from_map(&map, &sequence);
-    let errors: Vec<(f64, f64)> =
-        map.lines().filter_map(|line| error_of(line, &truth_from_map, &sequence)).collect();
-    let n_right = errors.iter().filter(|(angle, distance)| *angle < 1.0 && *distance < 0.02).count();
+    let truth_from_map = truth_from_map(&map, &sequence).unwrap();
+    let errors: Vec<LineError> = map
+        .lines()
+        .filter_map(|line| {
+            line_error(&line.endpoints.map(|end| truth_from_map.transform(&end)), sequence.world())
+        })
+        .collect();
+    let n_right = errors.iter().filter(|error| error.angle_deg < 1.0 && error.distance < 0.02).count();
     let share = n_right as f64 / map.n_lines() as f64;
-    let mut distances: Vec<f64> = errors.iter().map(|(_, distance)| *distance).collect();
+    let mut distances: Vec<f64> = errors.iter().map(|error| error.distance).collect();
     distances.sort_by(f64::total_cmp);
     let median = distances[distances.len() / 2];
     println!(
@@ -92,7 +48,7 @@ fn the_directions_of_a_room_become_one_primitive_each() {
     let mut pipeline = pipeline(&sequence, FeatureSwitches::default(), ResumeState::default());
     run(&mut pipeline, &sequence, 0..N_FRAMES);
     let map = pipeline.map();
-    let truth_from_map = truth_from_map(&map, &sequence);
+    let truth_from_map = truth_from_map(&map, &sequence).unwrap();
     let truths = sequence.world().vanishing_directions();
     let mut n_spurious = 0;
     let mut found: BTreeMap<usize, usize> = BTreeMap::new();

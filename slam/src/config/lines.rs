@@ -26,15 +26,16 @@ pub struct LineConfig {
     /// Largest standard deviation of a new line's depth at its ends, as a share of the depth. Default 0.2: it grows
     /// without bound where the segments lie along the epipolar lines.
     pub max_depth_sigma_share: f64,
-    /// Reprojection: largest distance between the midpoints of segment and projection, pixels (θ of the paper).
-    /// Default 60: fragments of one edge have different midpoints.
-    pub max_midpoint_distance_px: f64,
+    /// Reprojection: largest distance between the midpoints of segment and visible projection, in mean lengths of the two
+    /// (θ of the paper, there in pixels). Default 1.5: at 1 they touch end to end, and fragments of one edge leave gaps.
+    pub max_midpoint_distance: f64,
     /// Reprojection: largest distance of the segment's ends from the projection, pixels (d of the paper). Default 4.
     pub max_end_distance_px: f64,
     /// Sensitivity: largest angle by which the line may depart from being seen squarely, degrees (α of the paper).
     /// Default 75.
     pub max_sensitivity_deg: f64,
-    /// Overlap: least share of the segment that the projection covers (r of the paper). Default 0.3.
+    /// Overlap: least part that segment and visible projection have in common, as a share of the shorter (r of the
+    /// paper, there of the segment). Default 0.3.
     pub min_overlap: f64,
     /// Depth at which a line may lie at most, in median depths of the scene. Default 20.
     pub max_depth_share: f64,
@@ -62,7 +63,7 @@ impl Default for LineConfig {
             min_views: 3,
             min_plane_angle_deg: 1.0,
             max_depth_sigma_share: 0.2,
-            max_midpoint_distance_px: 60.0,
+            max_midpoint_distance: 1.5,
             max_end_distance_px: 4.0,
             max_sensitivity_deg: 75.0,
             min_overlap: 0.3,

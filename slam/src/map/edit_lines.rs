@@ -14,6 +14,10 @@ pub(crate) struct LinePlace {
 }
 
 impl LinePlace {
+    pub fn middle(&self) -> Vector3<f64> {
+        (self.endpoints[0] + self.endpoints[1]) / 2.0
+    }
+
     pub fn is_finite(&self) -> bool {
         self.line.is_finite() && self.endpoints.iter().all(|end| end.iter().all(|value| value.is_finite()))
     }

@@ -16,7 +16,7 @@ use crate::loops::LoopCloser;
 use crate::map::{
     FramePose, FrameRecord, Keyframe, KeyframeId, Map, MapUpdate, Observation, PointId, SubmapId,
 };
-use crate::report::MapEvent;
+use crate::report::{LineJudgement, MapEvent};
 use crate::tracking::Sightings;
 use geometry::nalgebra::Vector3;
 use global_stage::GlobalStage;
@@ -148,6 +148,11 @@ impl Mapper {
     pub fn record(&mut self, frames: Vec<FrameRecord>) -> MapUpdate {
         self.take_over_global(false);
         self.update(frames)
+    }
+
+    /// What became of candidate lines since this was last called.
+    pub fn take_line_judgements(&mut self) -> Vec<LineJudgement> {
+        self.lines.take_judgements()
     }
 
     /// Waits for the adjustment of the whole map that is under way, if any, and takes it over.

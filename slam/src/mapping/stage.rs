@@ -4,7 +4,8 @@
 
 use super::{InitialMap, Mapper, NewKeyframe};
 use crate::map::{FrameRecord, Map, MapUpdate, SubmapId};
-use crate::report::MapEvent;
+use crate::report::{LineJudgement, MapEvent};
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -14,6 +15,8 @@ use std::thread::JoinHandle;
 const QUEUE_LENGTH: usize = 1;
 /// Updates that may wait to be fetched; beyond it the newest two are joined.
 const MAX_WAITING_UPDATES: usize = 16;
+/// Judgements of lines that may wait to be fetched; beyond it the oldest go: they are for statistics only.
+const MAX_WAITING_JUDGEMENTS: usize = 4096;
 
 /// Mapping as the pipeline sees it.
 pub(crate) enum MappingStage {
@@ -27,6 +30,7 @@ pub(crate) struct Shared {
     newest: Arc<Mutex<Arc<Map>>>,
     updates: Arc<Mutex<Vec<MapUpdate>>>,
     events: Arc<Mutex<Vec<MapEvent>>>,
+    line_judgements: Arc<Mutex<VecDeque<LineJudgement>>>,
 }
 
 /// The mapping thread's other end.
@@ -85,6 +89,11 @@ impl MappingStage {
     /// Corrections of the map since the last call, oldest first.
     pub fn take_events(&self) -> Vec<MapEvent> {
         std::mem::take(&mut *lock(&self.shared().events))
+    }
+
+    /// Judgements of candidate lines since the last call, oldest first.
+    pub fn take_line_judgements(&self) -> Vec<LineJudgement> {
+        std::mem::take(&mut *lock(&self.shared().line_judgements)).into()
     }
 
     /// Whether a key frame would be taken in at once.
@@ -193,6 +202,7 @@ impl Shared {
             newest: Arc::new(Mutex::new(Arc::new(map.clone()))),
             updates: Arc::default(),
             events: Arc::default(),
+            line_judgements: Arc::default(),
         }
     }
 
@@ -209,6 +219,11 @@ impl Shared {
             }
         };
         lock(&self.events).append(&mut mapper.take_events());
+        let mut judgements = lock(&self.line_judgements);
+        judgements.extend(mapper.take_line_judgements());
+        let n_surplus = judgements.len().saturating_sub(MAX_WAITING_JUDGEMENTS);
+        judgements.drain(..n_surplus);
+        drop(judgements);
         *lock(&self.newest) = update.map.clone();
         let mut updates = lock(&self.updates);
         let is_full = updates.len() >= MAX_WAITING_UPDATES;

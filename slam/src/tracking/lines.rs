@@ -5,9 +5,10 @@ use super::frame::TrackedFrame;
 use crate::config::LineConfig;
 use crate::features::{FrameFeatures, LineFeature};
 use crate::map::{KeyframeId, LineId, LineLandmark, Map};
-use geometry::Pose;
 use geometry::nalgebra::{Vector2, Vector3};
+use geometry::{Pinhole, Pose};
 use std::collections::{BTreeMap, BTreeSet};
+use vision::GridBounds;
 
 /// Lines nearer to the camera's plane than this are cut off there, map units: the first map's median depth is 1.
 const NEAR: f64 = 0.01;
@@ -35,10 +36,8 @@ impl PredictedSegment {
         camera_from_world: &Pose,
         features: &FrameFeatures,
     ) -> Option<Self> {
-        let [a, b] = endpoints.map(|end| camera_from_world.transform(&end));
-        let (a, b) = clip_near(a, b)?;
-        let (start, end) =
-            clip_to_image(features.pinhole.project(&a), features.pinhole.project(&b), features)?;
+        let [start, end] =
+            project_segment(endpoints, camera_from_world, &features.pinhole, &features.bounds)?;
         let length = (end - start).norm();
         (length >= MIN_PROJECTED_LENGTH_PX).then(|| Self { start, direction: (end - start) / length, length })
     }
@@ -72,6 +71,18 @@ impl PredictedSegment {
     }
 }
 
+/// Projection of the part of a segment that is in front of the camera and inside the image, pixels.
+pub(crate) fn project_segment(
+    endpoints: &[Vector3<f64>; 2],
+    camera_from_world: &Pose,
+    pinhole: &Pinhole,
+    bounds: &GridBounds,
+) -> Option<[Vector2<f64>; 2]> {
+    let [a, b] = endpoints.map(|end| camera_from_world.transform(&end));
+    let (a, b) = clip_near(a, b)?;
+    clip_to_image(pinhole.project(&a), pinhole.project(&b), bounds)
+}
+
 /// The part of a segment in front of the camera.
 fn clip_near(a: Vector3<f64>, b: Vector3<f64>) -> Option<(Vector3<f64>, Vector3<f64>)> {
     let cut = |inside: Vector3<f64>, outside: Vector3<f64>| {
@@ -86,12 +97,7 @@ fn clip_near(a: Vector3<f64>, b: Vector3<f64>) -> Option<(Vector3<f64>, Vector3<
 }
 
 /// The part of a segment inside the image [Liang & Barsky 1984].
-fn clip_to_image(
-    a: Vector2<f64>,
-    b: Vector2<f64>,
-    features: &FrameFeatures,
-) -> Option<(Vector2<f64>, Vector2<f64>)> {
-    let bounds = &features.bounds;
+fn clip_to_image(a: Vector2<f64>, b: Vector2<f64>, bounds: &GridBounds) -> Option<[Vector2<f64>; 2]> {
     let (min, max) = (
         Vector2::new(f64::from(bounds.min_x), f64::from(bounds.min_y)),
         Vector2::new(f64::from(bounds.max_x), f64::from(bounds.max_y)),
@@ -109,7 +115,7 @@ fn clip_to_image(
             leave = leave.min(room / step);
         }
     }
-    (enter < leave && d.iter().all(|value| value.is_finite())).then(|| (a + d * enter, a + d * leave))
+    (enter < leave && d.iter().all(|value| value.is_finite())).then(|| [a + d * enter, a + d * leave])
 }
 
 /// Which track of segments sees which line.

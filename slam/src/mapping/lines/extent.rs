@@ -4,8 +4,9 @@ use super::triangulation::TrackView;
 use geometry::Line3;
 use geometry::nalgebra::{Vector2, Vector3};
 
-/// A viewing ray closer to the line's direction than this cosine says nothing about where on the line its end is.
-const MAX_RAY_COSINE: f64 = 0.97;
+/// A viewing ray closer to the line's direction than this cosine (10 degrees) says nothing about where on the line its end
+/// is. Wider than the sensitivity test, which would otherwise never see the lines it is for.
+const MAX_RAY_COSINE: f64 = 0.985;
 /// Lines whose seen part is shorter than this share of their distance are points, not lines.
 const MIN_LENGTH_SHARE: f64 = 0.01;
 

@@ -8,10 +8,11 @@ mod verification;
 
 pub(crate) use extent::seen_part;
 pub(crate) use triangulation::{TrackView, directed};
-use verification::Verification;
+use verification::{Verdict, judge};
 
 use crate::config::SlamConfig;
 use crate::map::{KeyframeId, LineId, Map, Observation};
+use crate::report::{LineJudgement, LineVerdict};
 use std::collections::BTreeMap;
 
 /// Observations that a line needs to survive its probation.
@@ -28,8 +29,8 @@ pub(super) struct LineMapper {
     tracks: BTreeMap<u64, Vec<Observation>>,
     /// Lines on probation.
     recent: Vec<LineId>,
-    /// What became of the candidates so far.
-    verification: Verification,
+    /// What became of the candidates since they were last taken.
+    judgements: Vec<LineJudgement>,
 }
 
 impl LineMapper {
@@ -37,12 +38,15 @@ impl LineMapper {
     pub fn extend(&mut self, map: &mut Map, id: KeyframeId, config: &SlamConfig) {
         self.cull_recent(map, id, config);
         self.follow_tracks(map, id);
-        let candidates: Vec<Vec<Observation>> = self.tracks_of(map, id);
-        for views in candidates {
-            self.extend_track(map, id, &views, config);
+        for track in tracks_without_line(map, id) {
+            self.extend_track(map, id, track, config);
         }
         fusion::fuse_with_neighbours(map, id, config);
-        tracing::debug!(keyframe = %id, so_far = ?self.verification, "views of lines verified");
+    }
+
+    /// What became of the candidates since this was last called.
+    pub fn take_judgements(&mut self) -> Vec<LineJudgement> {
+        std::mem::take(&mut self.judgements)
     }
 
     /// Forgets what is no longer in the map.
@@ -67,18 +71,11 @@ impl LineMapper {
         });
     }
 
-    /// The tracks of the key frame's segments that see no line yet.
-    fn tracks_of(&self, map: &Map, id: KeyframeId) -> Vec<Vec<Observation>> {
-        let Some(keyframe) = map.keyframe(id) else { return Vec::new() };
-        let unexplained =
-            keyframe.features.lines.iter().zip(&keyframe.lines).filter(|(_, line)| line.is_none());
-        unexplained.filter_map(|(segment, _)| self.tracks.get(&segment.track).cloned()).collect()
-    }
-
     /// Lets a track's newest segment see the line the track saw before, or makes a line of the track.
-    fn extend_track(&mut self, map: &mut Map, id: KeyframeId, views: &[Observation], config: &SlamConfig) {
-        let (Some(keyframe), Some(newest)) = (map.keyframe(id), views.last()) else { return };
-        let submap = keyframe.submap;
+    fn extend_track(&mut self, map: &mut Map, id: KeyframeId, track: u64, config: &SlamConfig) {
+        let (Some(keyframe), Some(views)) = (map.keyframe(id), self.tracks.get(&track)) else { return };
+        let Some(newest) = views.last() else { return };
+        let (sequence, submap) = (keyframe.sequence, keyframe.submap);
         let known = views.iter().rev().find_map(|seen| {
             map.keyframe(seen.keyframe).and_then(|seen_in| seen_in.lines[seen.feature_idx as usize])
         });
@@ -86,7 +83,7 @@ impl LineMapper {
             let agrees = map
                 .line(line_id)
                 .zip(TrackView::of(map, *newest))
-                .is_some_and(|(line, view)| self.verification.check(&line.endpoints, &view, &config.lines));
+                .is_some_and(|(line, view)| judge(&line.endpoints, &view, &config.lines) == Verdict::Passed);
             if agrees {
                 map.add_line_observation(line_id, *newest);
             }
@@ -98,9 +95,13 @@ impl LineMapper {
             .filter_map(|seen| TrackView::of(map, *seen))
             .collect();
         let median_depth = super::median_depth(map, keyframe);
-        let made = triangulation::triangulate(&views, median_depth, &config.lines, &mut self.verification);
-        if let Some((place, observations)) = made {
-            self.recent.extend(map.add_line(&place, id, &observations));
+        let Some(candidate) = triangulation::triangulate(&views, median_depth, &config.lines) else { return };
+        let verdict = candidate.outcome.as_ref().err().copied().unwrap_or(LineVerdict::Made);
+        let endpoints_in_camera =
+            candidate.place.endpoints.map(|end| keyframe.camera_from_world.transform(&end));
+        self.judgements.push(LineJudgement { sequence, submap, track, endpoints_in_camera, verdict });
+        if let Ok(observations) = candidate.outcome {
+            self.recent.extend(map.add_line(&candidate.place, id, &observations));
         }
     }
 
@@ -119,4 +120,11 @@ impl LineMapper {
             age <= config.lines.probation_keyframes
         });
     }
+}
+
+/// The tracks of a key frame's segments that see no line yet.
+fn tracks_without_line(map: &Map, id: KeyframeId) -> Vec<u64> {
+    let Some(keyframe) = map.keyframe(id) else { return Vec::new() };
+    let segments = keyframe.features.lines.iter().zip(&keyframe.lines);
+    segments.filter(|(_, line)| line.is_none()).map(|(segment, _)| segment.track).collect()
 }

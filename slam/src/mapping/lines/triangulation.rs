@@ -1,15 +1,17 @@
 //! A line of space from the segments of one track. [ALGORITHMS 5.4, 5.5]
 
 use super::extent::seen_part;
-use super::verification::Verification;
+use super::verification::verify;
 use crate::bundle::anchored_line::AnchoredLine;
 use crate::bundle::factors::LineReprojectionFactor;
 use crate::config::LineConfig;
 use crate::features::LineFeature;
 use crate::map::{LinePlace, Map, Observation};
+use crate::report::LineVerdict;
 use geometry::nalgebra::{Matrix4, Vector2, Vector3, Vector4};
 use geometry::{Line3, OrthonormalLine, Pinhole, Pose, line};
 use optim::{Factor, Kernel, Linearized, SingleOptions, UnaryGroup, chi2_95, optimize_single};
+use vision::GridBounds;
 
 /// Step of the difference quotients that lead from a line's parameters to depths, radians.
 const DIFFERENCE_STEP: f64 = 1e-6;
@@ -20,6 +22,8 @@ pub(crate) struct TrackView {
     pub seen: Observation,
     pub camera_from_world: Pose,
     pub pinhole: Pinhole,
+    /// Where undistorted pixels of the image can lie.
+    pub bounds: GridBounds,
     pub segment: LineFeature,
 }
 
@@ -31,6 +35,7 @@ impl TrackView {
             seen,
             camera_from_world: keyframe.camera_from_world,
             pinhole: keyframe.features.pinhole,
+            bounds: keyframe.features.bounds,
             segment: *keyframe.features.lines.get(seen.feature_idx as usize)?,
         })
     }
@@ -67,14 +72,20 @@ impl Factor for HeldPose {
     }
 }
 
-/// The line that a track's views agree on and the views that do. `None` if the planes of no two views are far enough
-/// apart, or too few views agree.
+/// What came of a track: a place in space, the verdict on it, and the views that agree if it is to be made.
+#[derive(Clone, Debug)]
+pub(super) struct Candidate {
+    pub place: LinePlace,
+    pub outcome: Result<Vec<Observation>, LineVerdict>,
+}
+
+/// The line that a track's views agree on and whether it may enter the map. `None` if the track has no place in space
+/// yet: too few views, or no two whose planes are far enough apart.
 pub(super) fn triangulate(
     views: &[TrackView],
     median_depth: Option<f64>,
     config: &LineConfig,
-    verification: &mut Verification,
-) -> Option<(LinePlace, Vec<Observation>)> {
+) -> Option<Candidate> {
     if views.len() < config.min_views {
         return None;
     }
@@ -87,22 +98,17 @@ pub(super) fn triangulate(
     )?;
     let rough = LinePlace { line, endpoints: seen_part(&line, &[*first, *second])? };
     let (line, depth_sigma_share) = refine(&rough, views)?;
-    if depth_sigma_share > config.max_depth_sigma_share {
-        return None;
-    }
     let endpoints = seen_part(&line, views)?;
     let place = LinePlace { line: directed(&line, &endpoints)?, endpoints };
-    let middle = (endpoints[0] + endpoints[1]) / 2.0;
-    let depth = first.camera_from_world.transform(&middle).z;
-    if median_depth.is_some_and(|median| depth > config.max_depth_share * median) {
-        return None;
-    }
-    let agreeing: Vec<Observation> = views
-        .iter()
-        .filter(|view| verification.check(&place.endpoints, view, config))
-        .map(|view| view.seen)
-        .collect();
-    (agreeing.len() >= config.min_views).then_some((place, agreeing))
+    let depth = first.camera_from_world.transform(&place.middle()).z;
+    let outcome = if depth_sigma_share > config.max_depth_sigma_share {
+        Err(LineVerdict::UncertainDepth)
+    } else if median_depth.is_some_and(|median| depth > config.max_depth_share * median) {
+        Err(LineVerdict::TooFar)
+    } else {
+        verify(&place.endpoints, views, config)
+    };
+    Some(Candidate { place, outcome })
 }
 
 /// The two views whose planes cross at the largest angle; `None` if that is below the least.

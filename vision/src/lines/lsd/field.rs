@@ -33,6 +33,7 @@ impl Field {
         if (self.width, self.height) != (width, height) {
             self.resize(width, height);
         }
+        let mut largest = 0u32;
         for y in 0..height.saturating_sub(1) {
             let at = self.at(Pixel { x: 0, y: y as u32 });
             let n = width.saturating_sub(1);
@@ -41,6 +42,7 @@ impl Field {
             let direction = &mut self.direction[at..][..n];
             let magnitude = &mut self.magnitude[at..][..n];
             let taken = &mut self.taken[at..][..n];
+            let mut row_largest = 0u32;
             for x in 0..n {
                 let (falling, rising) = (below[x + 1] - above[x], above[x + 1] - below[x]);
                 let (gx, gy) = (0.5 * (falling + rising), 0.5 * (falling - rising));
@@ -50,9 +52,12 @@ impl Field {
                 direction[x] = Vector2::new(gy * inverse, -gx * inverse);
                 magnitude[x] = norm;
                 taken[x] = u8::from(!strong);
+                // The bits of floats that are not negative are in the order of the floats.
+                row_largest = row_largest.max(norm.to_bits());
             }
+            largest = largest.max(row_largest);
         }
-        self.sort_seeds();
+        self.sort_seeds(f32::from_bits(largest));
     }
 
     /// Makes room for an image of another size, with no direction anywhere: at the outer elements that is how it stays.
@@ -67,12 +72,17 @@ impl Field {
         self.taken.resize(n, 1);
     }
 
-    /// Sorts the pixels that have a direction by falling magnitude, to within a bin, by counting.
-    fn sort_seeds(&mut self) {
-        self.unsorted.clear();
-        let taken = self.taken.iter().enumerate();
-        self.unsorted.extend(taken.filter(|&(_, &taken)| taken == 0).map(|(at, _)| at as u32));
-        let largest = self.unsorted.iter().map(|&at| self.magnitude[at as usize]).fold(0.0, f32::max);
+    /// Sorts the pixels that have a direction by falling magnitude, of which `largest` is the largest, to within a bin, by
+    /// counting.
+    fn sort_seeds(&mut self, largest: f32) {
+        // Every pixel is written, and the next one over it if it has no direction: no branch to guess wrong.
+        self.unsorted.resize(self.taken.len(), 0);
+        let mut n = 0;
+        for (at, &taken) in self.taken.iter().enumerate() {
+            self.unsorted[n] = at as u32;
+            n += usize::from(taken == 0);
+        }
+        self.unsorted.truncate(n);
         let bins_per_unit = if largest > 0.0 { N_BINS as f32 / largest } else { 0.0 };
         let bin = |at: u32| {
             let bin = (self.magnitude[at as usize] * bins_per_unit) as usize;
@@ -97,19 +107,18 @@ impl Field {
         self.seeds.len()
     }
 
-    /// The seed of rank `i`.
-    pub fn seed(&self, i: usize) -> Pixel {
-        let at = self.seeds[i] as usize - self.stride - 1;
-        Pixel { x: (at % self.stride) as u32, y: (at / self.stride) as u32 }
+    /// The seed of rank `i`, if no region has taken it.
+    pub fn seed(&self, i: usize) -> Option<Pixel> {
+        let at = self.seeds[i] as usize;
+        (self.taken[at] == 0).then(|| {
+            let at = at as u32 - self.stride as u32 - 1;
+            Pixel { x: at % self.stride as u32, y: at / self.stride as u32 }
+        })
     }
 
     /// The element of a pixel.
     #[inline]
     pub fn at(&self, pixel: Pixel) -> usize {
         (pixel.y as usize + 1) * self.stride + pixel.x as usize + 1
-    }
-
-    pub fn is_free(&self, pixel: Pixel) -> bool {
-        self.taken[self.at(pixel)] == 0
     }
 }

@@ -72,10 +72,7 @@ impl RawDetector for Lsd {
         self.field.compute(shrunk, min_magnitude);
         self.judge.start_image(shrunk.width, shrunk.height);
         for i in 0..self.field.n_seeds() {
-            let seed = self.field.seed(i);
-            if !self.field.is_free(seed) {
-                continue;
-            }
+            let Some(seed) = self.field.seed(i) else { continue };
             if let Some(rectangle) = self.segment_from(seed) {
                 // A gradient belongs to the middle of four pixels.
                 let to_image = |p: Vector2<f64>| (p.add_scalar(0.5) / self.scale).cast::<f32>();

@@ -53,8 +53,8 @@ impl Rectangle {
             let (px, py) = offset(pixel.x, pixel.y);
             let (px, py) = (px - x, py - y);
             let (a, b) = (px * direction.x + py * direction.y, py * direction.x - px * direction.y);
-            along = [along[0].min(a), along[1].max(a)];
-            widest = [widest[0].min(b), widest[1].max(b)];
+            extend(&mut along, a);
+            extend(&mut widest, b);
         }
         // The line stays on the centre of the gradient, with the width shared out to both sides.
         let half_width = 0.5 * (widest[1] - widest[0]).max(1.0);
@@ -113,4 +113,12 @@ impl Rectangle {
             }
         }
     }
+}
+
+/// Makes an interval contain a number.
+#[inline]
+fn extend(interval: &mut [f64; 2], value: f64) {
+    // Unlike `min` and `max`, without care for numbers that are none: half the work.
+    interval[0] = if value < interval[0] { value } else { interval[0] };
+    interval[1] = if value > interval[1] { value } else { interval[1] };
 }

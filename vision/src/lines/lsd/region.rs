@@ -24,28 +24,40 @@ impl Region {
     /// Gathers the free pixels connected to `seed` whose direction is within `tolerance`, radians, of the region's, and
     /// takes them.
     pub fn grow(&mut self, field: &mut Field, seed: Pixel, tolerance: f32) {
-        let min_cosine = tolerance.cos();
+        let stride = field.stride;
         let at = field.at(seed);
-        field.taken[at] = 1;
+        let (directions, taken) = (field.direction.as_slice(), field.taken.as_mut_slice());
+        taken[at] = 1;
         self.pixels.clear();
         self.pixels.push(seed);
-        let mut sum = field.direction[at];
-        let mut least = min_cosine * sum.norm();
+        let mut sum = directions[at];
+        // Cosines are compared by their signed squares, which spares a square root for every pixel won.
+        let min_square = tolerance.cos() * tolerance.cos().abs();
+        let mut least = min_square * sum.norm_squared();
         let mut i = 0;
         while let Some(&pixel) = self.pixels.get(i) {
             i += 1;
-            let centre = field.at(pixel);
+            let corner = (pixel.y as usize * stride) + pixel.x as usize;
             for dy in 0..3 {
-                let first = centre + dy * field.stride - field.stride - 1;
-                let taken = [field.taken[first], field.taken[first + 1], field.taken[first + 2]];
-                for (dx, _) in taken.iter().enumerate().filter(|&(_, &taken)| taken == 0) {
-                    let direction = field.direction[first + dx];
-                    if direction.dot(&sum) < least {
+                let first = corner + dy * stride;
+                let row = &mut taken[first..first + 3];
+                // Inside a region nearly always.
+                if row == [1; 3] {
+                    continue;
+                }
+                let directions = &directions[first..first + 3];
+                for dx in 0..3 {
+                    if row[dx] != 0 {
                         continue;
                     }
-                    field.taken[first + dx] = 1;
+                    let direction = directions[dx];
+                    let dot = direction.dot(&sum);
+                    if dot * dot.abs() < least {
+                        continue;
+                    }
+                    row[dx] = 1;
                     sum += direction;
-                    least = min_cosine * sum.norm();
+                    least = min_square * sum.norm_squared();
                     // A free pixel is inside the image: neither coordinate falls below 0.
                     self.pixels.push(Pixel { x: pixel.x + dx as u32 - 1, y: pixel.y + dy as u32 - 1 });
                 }

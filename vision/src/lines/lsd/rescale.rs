@@ -6,7 +6,7 @@ use crate::GrayImage;
 const SIGMA: f64 = 0.6;
 /// Below this share of the largest one, weights are left out.
 const SMALLEST_WEIGHT: f64 = 1e-3;
-/// Weights per pixel are rounded up to a multiple of this, so that the processor can take them several at a time.
+/// Rows shrunk together, so that the processor can take as many pixels at a time.
 const LANES: usize = 8;
 
 /// A shrunk image, grey levels not rounded, row by row.
@@ -21,10 +21,22 @@ pub(super) struct Shrunk {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rescaler {
     shrunk: Shrunk,
-    /// A row of the original's width, blended from several.
+    /// Rows of the original in floating point, for as long as they are needed: row `y` is in slot `y % n`.
+    rows_in_use: Vec<RowInUse>,
+    /// A row of the original's width, blended from several, with margins.
     blended: Vec<f32>,
+    /// Several such rows, column by column.
+    strips: Vec<[f32; LANES]>,
     columns: Taps,
     rows: Taps,
+}
+
+/// A row of the original.
+#[derive(Clone, Debug, Default)]
+struct RowInUse {
+    /// Of no image at first.
+    y: Option<usize>,
+    pixels: Vec<f32>,
 }
 
 /// Which old pixels make up each new one along an axis.
@@ -54,7 +66,7 @@ impl Taps {
             n_old,
             n_new: (n_old as f64 * scale).ceil() as usize,
             scale,
-            n_weights: n_used.next_multiple_of(LANES),
+            n_weights: n_used,
             margin: radius + 1,
             ..Self::default()
         };
@@ -68,7 +80,6 @@ impl Taps {
             let total: f64 = (0..n_used).map(weight).sum();
             self.starts.push(nearest as usize + self.margin - radius);
             self.weights.extend((0..n_used).map(|j| (weight(j) / total) as f32));
-            self.weights.extend(std::iter::repeat_n(0.0, self.n_weights - n_used));
         }
     }
 
@@ -98,42 +109,66 @@ impl Rescaler {
             return &self.shrunk;
         }
         let margin = columns.margin;
-        // The first tap may start at a margin's pixel, the last may end beyond the other, with weights of 0.
-        self.blended.resize(width + 2 * margin + columns.n_weights, 0.0);
-        for (y, out) in self.shrunk.pixels.chunks_exact_mut(columns.n_new).enumerate() {
-            let (start, weights) = rows.of(y);
-            let blended = &mut self.blended[margin..margin + width];
-            blended.fill(0.0);
-            for (j, &weight) in weights.iter().enumerate().filter(|&(_, &weight)| weight > 0.0) {
-                let row = image.row(rows.mirrored(start + j) as u32);
-                for (sum, &pixel) in blended.iter_mut().zip(row) {
-                    *sum += weight * f32::from(pixel);
+        self.blended.resize(width + 2 * margin, 0.0);
+        self.strips.resize(self.blended.len(), [0.0; LANES]);
+        self.rows_in_use.resize_with(rows.n_weights, RowInUse::default);
+        self.rows_in_use.iter_mut().for_each(|row| row.y = None);
+        let n_new = columns.n_new;
+        for (i, out) in self.shrunk.pixels.chunks_mut(LANES * n_new).enumerate() {
+            for lane in 0..out.len() / n_new {
+                let (start, weights) = rows.of(i * LANES + lane);
+                let blended = &mut self.blended[margin..margin + width];
+                blended.fill(0.0);
+                for (j, &weight) in weights.iter().enumerate() {
+                    let y = rows.mirrored(start + j);
+                    let row = self.rows_in_use[y % rows.n_weights].hold(image, y);
+                    for (sum, &pixel) in blended.iter_mut().zip(row) {
+                        *sum += weight * pixel;
+                    }
+                }
+                for i in 0..margin {
+                    self.blended[i] = self.blended[margin + columns.mirrored(i)];
+                    self.blended[margin + width + i] =
+                        self.blended[margin + columns.mirrored(margin + width + i)];
+                }
+                for (strip, &value) in self.strips.iter_mut().zip(&self.blended) {
+                    strip[lane] = value;
                 }
             }
-            for i in 0..margin {
-                self.blended[i] = self.blended[margin + columns.mirrored(i)];
-                self.blended[margin + width + i] =
-                    self.blended[margin + columns.mirrored(margin + width + i)];
-            }
-            for (x, out) in out.iter_mut().enumerate() {
+            for x in 0..n_new {
                 let (start, weights) = columns.of(x);
-                *out = dot(weights, &self.blended[start..]);
+                let sums = weighted_sum(weights, &self.strips[start..][..weights.len()]);
+                for (out, sum) in out[x..].iter_mut().step_by(n_new).zip(sums) {
+                    *out = sum;
+                }
             }
         }
         &self.shrunk
     }
 }
 
-/// The scalar product of `weights`, a multiple of [`LANES`] long, with as many values.
+impl RowInUse {
+    /// Row `y` of `image`, taken over if it is not what is here.
+    fn hold(&mut self, image: &GrayImage, y: usize) -> &[f32] {
+        if self.y != Some(y) {
+            self.y = Some(y);
+            self.pixels.clear();
+            self.pixels.extend(image.row(y as u32).iter().map(|&pixel| f32::from(pixel)));
+        }
+        &self.pixels
+    }
+}
+
+/// The sum of `strips` by `weights`, which are as many.
 #[inline]
-fn dot(weights: &[f32], values: &[f32]) -> f32 {
+fn weighted_sum(weights: &[f32], strips: &[[f32; LANES]]) -> [f32; LANES] {
     let mut sums = [0.0f32; LANES];
-    for (weights, values) in weights.chunks_exact(LANES).zip(values.chunks_exact(LANES)) {
+    for (&weight, strip) in weights.iter().zip(strips) {
         for i in 0..LANES {
-            sums[i] += weights[i] * values[i];
+            sums[i] += weight * strip[i];
         }
     }
-    sums.iter().sum()
+    sums
 }
 
 #[cfg(test)]
