@@ -90,7 +90,9 @@ impl Relocaliser {
             n_inliers = place_frame(&mut frame, map).inliers.total();
         }
         let centre = frame.camera_from_world.centre();
-        let is_reached = reaches.iter().all(|reach| reach.submap != frame.submap || reach.includes(&centre));
+        // A camera seen a moment ago in another submap is at a place of this one that nothing is known of.
+        let reach = reaches.iter().find(|reach| reach.submap == frame.submap);
+        let is_reached = reach.map_or(reaches.is_empty(), |reach| reach.includes(&centre));
         let n_required = if is_reached { self.config.min_inliers } else { self.n_beyond_doubt };
         (n_inliers >= n_required).then_some(frame)
     }
