@@ -9,7 +9,7 @@ use nalgebra::{Vector2, Vector3};
 use crate::image::GrayImage;
 use crate::path::{Jitter, MotionLimits, Path, PathConfig, PathKind};
 use crate::random::mix;
-use crate::render::{RenderOptions, Renderer};
+use crate::render::{ExposureCurve, RenderOptions, Renderer};
 use crate::segments::{self, VisibleSegment};
 use crate::world::{
     AtlantaConfig, CorridorConfig, CorridorShape, FourRoomsConfig, RayHit, RoomConfig, Texture,
@@ -30,6 +30,9 @@ pub enum Preset {
     CorridorStraight,
     /// A plain corridor around a block, 48 units long, walked one and a quarter times.
     CorridorRing,
+    /// A walk of about 50 units along three sides of a block of plain corridors, without coming back, with a wide lens,
+    /// a noisy sensor and a changing exposure: the walls that were in view are gone after each corner.
+    CorridorCorners,
     /// Through four rooms and back into the first two.
     FourRooms,
     /// A plain hall with blocks in three horizontal directions.
@@ -42,11 +45,12 @@ pub enum Preset {
 
 impl Preset {
     /// All presets.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::RoomRich,
         Self::RoomPoor,
         Self::CorridorStraight,
         Self::CorridorRing,
+        Self::CorridorCorners,
         Self::FourRooms,
         Self::Atlanta,
         Self::Unstructured,
@@ -60,6 +64,7 @@ impl Preset {
             Self::RoomPoor => "room-poor",
             Self::CorridorStraight => "corridor-straight",
             Self::CorridorRing => "corridor-ring",
+            Self::CorridorCorners => "corridor-corners",
             Self::FourRooms => "four-rooms",
             Self::Atlanta => "atlanta",
             Self::Unstructured => "unstructured",
@@ -116,9 +121,11 @@ pub struct SequenceConfig {
 
 impl SequenceConfig {
     /// The configuration of a preset, to be changed before [`Sequence::new`]. All presets have a pinhole camera
-    /// of 640 x 480 pixels at 20 frames a second.
+    /// of 640 x 480 pixels at 20 frames a second, 70 degrees wide; 90 where there are corners to walk around.
     pub fn preset(preset: Preset, seed: u64) -> Self {
         let (world, kind, limits) = preset_parts(preset, seed);
+        // Around a corner a lens of 70 degrees sees nothing but a plain wall.
+        let focal_px = if preset == Preset::CorridorCorners { 320.0 } else { 460.0 };
         let jitter = Some(Jitter { position: 0.004, rotation_deg: 0.35 });
         Self {
             world,
@@ -127,17 +134,28 @@ impl SequenceConfig {
                 model: CameraModel::Pinhole,
                 width: 640,
                 height: 480,
-                fx: 460.0,
-                fy: 460.0,
+                fx: focal_px,
+                fy: focal_px,
                 cx: 319.5,
                 cy: 239.5,
                 distortion: Vec::new(),
             },
             fps: 20.0,
             n_frames: None,
-            render: RenderOptions::default(),
+            render: render_options(preset),
             seed,
         }
+    }
+}
+
+fn render_options(preset: Preset) -> RenderOptions {
+    match preset {
+        Preset::CorridorCorners => RenderOptions {
+            noise_sigma: 4.0,
+            exposure: ExposureCurve::Swing { amplitude: 0.2, period_s: 9.0 },
+            ..RenderOptions::default()
+        },
+        _ => RenderOptions::default(),
     }
 }
 
@@ -185,6 +203,17 @@ fn preset_parts(preset: Preset, seed: u64) -> (WorldConfig, PathKind, MotionLimi
             ];
             let shape = CorridorShape::Ring { length_x, length_y };
             (corridor(shape, None), walk(waypoints, Some(1.25), 0.25, 8.0), walking)
+        }
+        Preset::CorridorCorners => {
+            let (length_x, length_y) = (22.0, 16.0);
+            let waypoints = vec![
+                Vector2::new(-9.0, -0.5 * length_y),
+                Vector2::new(0.5 * length_x, -0.5 * length_y),
+                Vector2::new(0.5 * length_x, 0.5 * length_y),
+                Vector2::new(-5.0, 0.5 * length_y),
+            ];
+            let shape = CorridorShape::Ring { length_x, length_y };
+            (corridor(shape, None), walk(waypoints, None, 0.25, 8.0), walking)
         }
         Preset::FourRooms => {
             let config = FourRoomsConfig { seed, ..FourRoomsConfig::default() };

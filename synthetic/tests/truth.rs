@@ -160,7 +160,7 @@ fn segments_belong_to_the_families_of_their_worlds() {
         (Preset::RoomPoor, 3),
         (Preset::CorridorRing, 3),
         (Preset::FourRooms, 3),
-        (Preset::Atlanta, 4),
+        (Preset::Atlanta, 5),
         (Preset::Unstructured, 0),
     ] {
         let sequence = sequence(small(preset, 1));

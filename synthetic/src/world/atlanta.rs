@@ -48,7 +48,8 @@ impl AtlantaConfig {
         let mut rng = stream(self.seed, "atlanta");
         let axis = |deg: f64| Vector3::new(deg.to_radians().cos(), deg.to_radians().sin(), 0.0);
         let [a, c, d] = self.directions_deg.map(axis);
-        let mut b = WorldBuilder::new(self.seed, &[a, c, d, Vector3::z()]);
+        // The hall has walls across x as well.
+        let mut b = WorldBuilder::new(self.seed, &[a, c, d, Vector3::z(), Vector3::y()]);
         let look = look_of(self.texture);
         let shell = Shell { middle: Vector3::zeros(), size: self.size };
         lamps(&mut b, &shell);
