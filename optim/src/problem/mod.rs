@@ -108,6 +108,11 @@ impl Problem {
         self.group_mut(group).enabled[index] = enabled;
     }
 
+    /// [`set_enabled`](Self::set_enabled) for a whole group.
+    pub fn set_group_enabled<F: Factor>(&mut self, group: GroupId<F>, enabled: bool) {
+        self.group_mut(group).enabled.fill(enabled);
+    }
+
     /// Whether a factor takes part.
     #[must_use]
     pub fn is_enabled<F: Factor>(&self, group: GroupId<F>, index: usize) -> bool {
@@ -137,6 +142,12 @@ impl Problem {
     #[must_use]
     pub fn cost(&self) -> Cost {
         self.cost_at(Side::Current)
+    }
+
+    /// The cost of a group's enabled factors at the current values.
+    #[must_use]
+    pub fn cost_of<F: Factor>(&self, group: GroupId<F>) -> Cost {
+        Group::cost(self.group(group), &self.stores, Side::Current)
     }
 
     /// The covariance of a free reduced variable, in its tangent space, given that everything else is

@@ -2,12 +2,12 @@
 
 use super::anchored_line::AnchoredLine;
 use super::factors::{LineReprojectionFactor, PointReprojectionFactor};
-use super::stage_two::PrimitiveVariable;
+use super::stage_two::PrimitiveTerms;
 use crate::map::{KeyframeId, LineId, LinePlace, Map, Observation, PointId};
 use crate::mapping::lines::{TrackView, directed, seen_part};
 use geometry::nalgebra::Vector3;
-use geometry::{OrthonormalLine, Pose};
-use optim::{GroupId, Kernel, Problem, SolverOptions, VariableId, chi2_95};
+use geometry::{Direction, OrthonormalLine, Pose};
+use optim::{GroupId, Kernel, Manifold, Problem, SolverOptions, VariableId, chi2_95};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Which key frames and landmarks move, and which key frames hold them in place.
@@ -30,8 +30,8 @@ pub(crate) struct Adjustment {
     pub(super) lines: Vec<(LineId, AnchoredLine, VariableId<OrthonormalLine>)>,
     line_group: GroupId<LineReprojectionFactor>,
     line_sightings: Vec<(LineId, KeyframeId)>,
-    /// Empty until the second stage.
-    pub(super) primitives: Vec<PrimitiveVariable>,
+    /// What primitives say; absent in the first stage alone.
+    pub(super) primitives: Option<PrimitiveTerms>,
 }
 
 /// The values of all variables at some moment.
@@ -39,6 +39,7 @@ pub(super) struct State {
     poses: Vec<(VariableId<Pose>, Pose)>,
     points: Vec<(VariableId<Vector3<f64>>, Vector3<f64>)>,
     lines: Vec<(VariableId<OrthonormalLine>, OrthonormalLine)>,
+    primitives: Vec<(VariableId<Direction>, Direction)>,
 }
 
 impl Adjustment {
@@ -80,7 +81,6 @@ impl Adjustment {
         // Wrong associations of lines are frequent and must not pull for ever.
         let line_group = problem.add_factors(Kernel::cauchy_95(), line_factors);
         let free = scope.free.clone();
-        let primitives = Vec::new();
         Self {
             problem,
             poses,
@@ -91,13 +91,18 @@ impl Adjustment {
             lines,
             line_group,
             line_sightings,
-            primitives,
+            primitives: None,
         }
     }
 
     /// Iterates until it converges, `max_iterations` are done, or `aborted` says so.
     pub fn solve(&mut self, max_iterations: usize, aborted: impl Fn() -> bool) {
         self.problem.solve(&SolverOptions { max_iterations, ..SolverOptions::default() }, aborted);
+    }
+
+    /// The robust cost of the sightings of points and lines at the present state.
+    pub(super) fn cost_of_sightings(&self) -> f64 {
+        self.problem.cost_of(self.point_group).robust + self.problem.cost_of(self.line_group).robust
     }
 
     /// The present pose of a key frame of the scope.
@@ -107,27 +112,25 @@ impl Adjustment {
 
     /// Keeps the present values, to go back to them.
     pub(super) fn state(&self) -> State {
+        let primitives = self.primitives.iter().flat_map(|terms| &terms.variables);
         State {
-            poses: self.poses.values().map(|variable| (*variable, *self.problem.value(*variable))).collect(),
-            points: self
-                .points
-                .iter()
-                .map(|(_, variable)| (*variable, *self.problem.value(*variable)))
-                .collect(),
-            lines: self
-                .lines
-                .iter()
-                .map(|(_, _, variable)| (*variable, *self.problem.value(*variable)))
-                .collect(),
+            poses: self.poses.values().map(|variable| self.with_value(*variable)).collect(),
+            points: self.points.iter().map(|(_, variable)| self.with_value(*variable)).collect(),
+            lines: self.lines.iter().map(|(_, _, variable)| self.with_value(*variable)).collect(),
+            primitives: primitives.map(|(_, variable)| self.with_value(*variable)).collect(),
         }
     }
 
-    /// Goes back to kept values; primitives are forgotten and stay as the map has them.
+    fn with_value<T: Manifold>(&self, variable: VariableId<T>) -> (VariableId<T>, T) {
+        (variable, self.problem.value(variable).clone())
+    }
+
+    /// Goes back to kept values.
     pub(super) fn restore(&mut self, state: State) {
         state.poses.into_iter().for_each(|(variable, value)| self.problem.set_value(variable, value));
         state.points.into_iter().for_each(|(variable, value)| self.problem.set_value(variable, value));
         state.lines.into_iter().for_each(|(variable, value)| self.problem.set_value(variable, value));
-        self.primitives.clear();
+        state.primitives.into_iter().for_each(|(variable, value)| self.problem.set_value(variable, value));
     }
 
     /// Leaves sightings out of what follows that disagree at present, and takes others in again.
@@ -164,7 +167,7 @@ impl Adjustment {
         for (id, anchored, variable) in &self.lines {
             write_line(map, *id, anchored, self.problem.value(*variable));
         }
-        for PrimitiveVariable { id, variable } in &self.primitives {
+        for (id, variable) in self.primitives.iter().flat_map(|terms| &terms.variables) {
             if let Some(covariance) = map.primitive(*id).map(|primitive| primitive.covariance) {
                 map.set_primitive_direction(*id, *self.problem.value(*variable), covariance);
             }

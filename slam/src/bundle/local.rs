@@ -14,17 +14,26 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// and is taken back where it would turn the new key frame by more than its own uncertainty allows.
 pub(crate) fn optimise(map: &mut Map, centre: KeyframeId, config: &SlamConfig, abort: &AtomicBool) {
     let Some(scope) = scope_around(map, centre, &config.mapping) else { return };
-    let mut adjustment = Adjustment::of(map, &scope);
     let aborted = || abort.load(Ordering::Relaxed);
-    let (n_first, n_second) = config.mapping.local_iterations;
-    adjustment.solve(n_first, aborted);
+    let mut adjustment = tracing::debug_span!("stage one").in_scope(|| {
+        let mut adjustment = Adjustment::of(map, &scope);
+        if config.features.global_primitives {
+            adjustment.expect_primitives(map, &config.primitives);
+        }
+        let (n_first, n_second) = config.mapping.local_iterations;
+        adjustment.solve(n_first, aborted);
+        if !aborted() {
+            adjustment.judge_sightings();
+            adjustment.solve(n_second, aborted);
+        }
+        adjustment
+    });
     if !aborted() {
-        adjustment.judge_sightings();
-        adjustment.solve(n_second, aborted);
-    }
-    let wants_primitives = !aborted() && config.features.global_primitives;
-    if wants_primitives && adjustment.add_primitives(map, &config.primitives, centre) == StageTwo::Refused {
-        tracing::info!(keyframe = %centre, "primitives would turn the key frame too far: left out");
+        let added = tracing::debug_span!("stage two")
+            .in_scope(|| adjustment.add_primitives(map, &config.primitives, centre));
+        if added == StageTwo::Refused {
+            tracing::info!(keyframe = %centre, "primitives would turn the key frame too far: left out");
+        }
     }
     adjustment.write_back(map);
 }

@@ -4,11 +4,11 @@
 use super::adjustment::Adjustment;
 use super::factors::{DirectionPriorFactor, StructuralConsistencyFactor, VanishingReprojectionFactor};
 use crate::config::PrimitiveConfig;
-use crate::map::{GlobalPrimitive, KeyframeId, Map, PrimitiveId};
+use crate::map::{GlobalPrimitive, KeyframeId, LineId, Map, PrimitiveId};
 use crate::mapping::primitives::{DirectionEstimate, estimate_direction};
-use geometry::nalgebra::Matrix3;
+use geometry::nalgebra::{Matrix2, Matrix3};
 use geometry::{Direction, OrthonormalLine, Pose};
-use optim::{Kernel, VariableId};
+use optim::{GroupId, Kernel, SolverOptions, VariableId};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What came of the second stage.
@@ -23,50 +23,101 @@ pub(crate) enum StageTwo {
     Refused,
 }
 
+/// Standard deviation of a direction that nothing else holds, radians: keeps the system regular while the primitives'
+/// terms are asleep, and says nothing beside them.
+const ASLEEP_SIGMA_RAD: f64 = 1.0;
+/// The second stage ends when an iteration lowers the cost by less than this share: a tenth of a standard deviation in
+/// the usual window. It starts from a minimum, and two iterations all but reach the next.
+const MIN_RELATIVE_DECREASE: f64 = 1e-4;
+
 /// A segment's factor with its variables.
 type VanishingSighting = ((VariableId<Pose>, VariableId<Direction>), VanishingReprojectionFactor);
 
-/// A primitive as a variable of the problem.
-pub(super) struct PrimitiveVariable {
-    pub id: PrimitiveId,
-    pub variable: VariableId<Direction>,
+/// What primitives say. It is in the problem from the start, so that the problem's structure is laid out once, but left
+/// out until the second stage.
+pub(super) struct PrimitiveTerms {
+    pub variables: Vec<(PrimitiveId, VariableId<Direction>)>,
+    priors: GroupId<DirectionPriorFactor>,
+    sightings: GroupId<VanishingReprojectionFactor>,
+    parallels: GroupId<StructuralConsistencyFactor>,
 }
 
 impl Adjustment {
-    /// Goes on from the present state with the primitives that the free key frames show. If that turns `centre` by
-    /// more than its uncertainty allows, everything is put back, and `centre` shows none of its primitives any more.
+    /// Enters the primitives that the free key frames show, for [`add_primitives`](Self::add_primitives) later.
+    pub fn expect_primitives(&mut self, map: &Map, config: &PrimitiveConfig) {
+        let in_sight = self.primitives_in_sight(map);
+        if !in_sight.is_empty() {
+            let terms = self.primitive_terms(map, &in_sight, config);
+            self.wake(&terms, false);
+            self.primitives = Some(terms);
+        }
+    }
+
+    /// Goes on from the present state with what the primitives say. If that turns `centre` by more than its uncertainty
+    /// allows, everything is put back, and `centre` shows none of its primitives any more.
     pub fn add_primitives(
         &mut self,
         map: &mut Map,
         config: &PrimitiveConfig,
         centre: KeyframeId,
     ) -> StageTwo {
-        let in_sight = self.primitives_in_sight(map);
-        if in_sight.is_empty() {
-            return StageTwo::NothingToAdd;
+        let Some(terms) = self.primitives.take() else { return StageTwo::NothingToAdd };
+        let outcome = self.second_stage(&terms, config, centre);
+        self.primitives = Some(terms);
+        if outcome == StageTwo::Refused {
+            let shown: Vec<PrimitiveId> = map
+                .keyframe(centre)
+                .into_iter()
+                .flat_map(|keyframe| &keyframe.vanishing)
+                .filter_map(|vanishing| vanishing.primitive)
+                .collect();
+            shown.into_iter().for_each(|primitive| map.remove_primitive_observation(primitive, centre));
         }
-        let before = self.attitude(centre);
-        let state = self.state();
-        self.add_primitive_factors(map, &in_sight, config);
-        self.solve(config.stage_two_iterations, || false);
-        let Some((pose, covariance)) = before else { return StageTwo::Added };
-        let Some(after) = self.pose(centre) else { return StageTwo::Added };
-        let turn = (after.rotation * pose.rotation.inverse()).scaled_axis();
-        let n_sigmas = covariance
-            .try_inverse()
-            .map_or(0.0, |information| turn.dot(&(information * turn)).max(0.0).sqrt());
-        if n_sigmas <= config.max_turn_sigmas {
+        outcome
+    }
+
+    fn second_stage(
+        &mut self,
+        terms: &PrimitiveTerms,
+        config: &PrimitiveConfig,
+        centre: KeyframeId,
+    ) -> StageTwo {
+        let (before, cost_before) = (self.state(), self.cost_of_sightings());
+        self.wake(terms, true);
+        let options = SolverOptions {
+            max_iterations: config.stage_two_iterations,
+            min_relative_decrease: MIN_RELATIVE_DECREASE,
+            ..SolverOptions::default()
+        };
+        self.problem.solve(&options, || false);
+        // Of all ways to turn a key frame by n sigmas, the one that suits points and lines best raises their χ² by n²: a
+        // smaller rise needs no covariance to be let pass.
+        let rise = 2.0 * (self.cost_of_sightings() - cost_before);
+        if rise <= config.max_turn_sigmas.powi(2) {
             return StageTwo::Added;
         }
-        self.restore(state);
-        let shown: Vec<PrimitiveId> = map
-            .keyframe(centre)
-            .into_iter()
-            .flat_map(|keyframe| &keyframe.vanishing)
-            .filter_map(|vanishing| vanishing.primitive)
-            .collect();
-        shown.into_iter().for_each(|primitive| map.remove_primitive_observation(primitive, centre));
-        StageTwo::Refused
+        let (after, turned) = (self.state(), self.pose(centre));
+        self.restore(before);
+        self.wake(terms, false);
+        let n_sigmas = turned.and_then(|turned| self.sigmas_of_turn(centre, &turned));
+        if n_sigmas.is_some_and(|n_sigmas| n_sigmas > config.max_turn_sigmas) {
+            return StageTwo::Refused;
+        }
+        self.restore(after);
+        StageTwo::Added
+    }
+
+    fn wake(&mut self, terms: &PrimitiveTerms, awake: bool) {
+        self.problem.set_group_enabled(terms.priors, awake);
+        self.problem.set_group_enabled(terms.sightings, awake);
+        self.problem.set_group_enabled(terms.parallels, awake);
+    }
+
+    /// By how many standard deviations of its attitude at the present state another pose of a key frame is turned.
+    fn sigmas_of_turn(&mut self, id: KeyframeId, turned: &Pose) -> Option<f64> {
+        let (pose, covariance) = self.attitude(id)?;
+        let turn = (turned.rotation * pose.rotation.inverse()).scaled_axis();
+        Some(turn.dot(&(covariance.try_inverse()? * turn)).max(0.0).sqrt())
     }
 
     /// Pose and covariance of the attitude of a free key frame at the present state.
@@ -87,32 +138,41 @@ impl Adjustment {
         shown.into_iter().collect()
     }
 
-    fn add_primitive_factors(&mut self, map: &Map, in_sight: &[PrimitiveId], config: &PrimitiveConfig) {
-        let (mut priors, mut sightings) = (Vec::new(), Vec::new());
+    fn primitive_terms(
+        &mut self,
+        map: &Map,
+        in_sight: &[PrimitiveId],
+        config: &PrimitiveConfig,
+    ) -> PrimitiveTerms {
+        let (mut asleep, mut priors, mut sightings) = (Vec::new(), Vec::new(), Vec::new());
         let mut variables: BTreeMap<PrimitiveId, VariableId<Direction>> = BTreeMap::new();
         for primitive in in_sight.iter().filter_map(|id| map.primitive(*id)) {
             let variable = self.problem.add_variable(primitive.direction);
             variables.insert(primitive.id, variable);
-            self.primitives.push(PrimitiveVariable { id: primitive.id, variable });
+            let square_root_information = Matrix2::identity() / ASLEEP_SIGMA_RAD;
+            let known = primitive.direction;
+            asleep.push(((variable,), DirectionPriorFactor { known, square_root_information }));
             priors.extend(self.outside_prior(map, primitive).map(|prior| ((variable,), prior)));
             self.collect_sightings(map, primitive, variable, config, &mut sightings);
         }
-        let line_factors: Vec<_> = self
-            .lines
-            .iter()
-            .filter_map(|(id, _, line)| {
-                let primitive = variables.get(&map.line(*id)?.primitive?)?;
-                let inverse_sigma = 1.0 / config.line_sigma_deg.to_radians();
-                Some(((*primitive, *line), StructuralConsistencyFactor { inverse_sigma }))
-            })
-            .collect::<Vec<((VariableId<Direction>, VariableId<OrthonormalLine>), _)>>();
-        self.problem.add_factors(Kernel::None, priors);
-        // Wrong associations would tie places together that have nothing to do with one another.
-        self.problem.add_factors(Kernel::cauchy_95(), sightings);
-        self.problem.add_factors(Kernel::cauchy_95(), line_factors);
+        let inverse_sigma = 1.0 / config.line_sigma_deg.to_radians();
+        let parallel = |id: &LineId, line: &VariableId<OrthonormalLine>| {
+            let primitive = variables.get(&map.line(*id)?.primitive?)?;
+            Some(((*primitive, *line), StructuralConsistencyFactor { inverse_sigma }))
+        };
+        let parallels: Vec<_> = self.lines.iter().filter_map(|(id, _, line)| parallel(id, line)).collect();
+        self.problem.add_factors(Kernel::None, asleep);
+        PrimitiveTerms {
+            variables: variables.into_iter().collect(),
+            priors: self.problem.add_factors(Kernel::None, priors),
+            // Wrong associations would tie places together that have nothing to do with one another.
+            sightings: self.problem.add_factors(Kernel::cauchy_95(), sightings),
+            parallels: self.problem.add_factors(Kernel::cauchy_95(), parallels),
+        }
     }
 
-    /// What key frames outside the problem say of a primitive.
+    /// What key frames outside the problem say of a primitive. Those that hold the window in place are not among them:
+    /// points and lines take their attitudes for exact, and a primitive that trusted them less would bend the window.
     fn outside_prior(&self, map: &Map, primitive: &GlobalPrimitive) -> Option<DirectionPriorFactor> {
         let outside = primitive.observations.iter().filter(|seen| !self.poses.contains_key(&seen.keyframe));
         let DirectionEstimate { direction, information } = estimate_direction(map, outside.copied())?;

@@ -37,7 +37,7 @@ pub struct PrimitiveConfig {
     /// Standard deviation of a segment's end, as far as its direction is concerned, in those of the segment. Default 2:
     /// edges that should be parallel are not quite.
     pub segment_sigma_factor: f64,
-    /// Iterations of the second stage of local bundle adjustment. Default 4: it starts from the first one's result.
+    /// Iterations of the second stage of local bundle adjustment. Default 2: it starts from the first one's result.
     pub stage_two_iterations: usize,
     /// Primitives may turn the newest key frame by this many standard deviations of its own attitude. Default 3.
     pub max_turn_sigmas: f64,
@@ -61,7 +61,7 @@ impl Default for PrimitiveConfig {
             max_line_angle_deg: 3.0,
             line_sigma_deg: 1.0,
             segment_sigma_factor: 2.0,
-            stage_two_iterations: 4,
+            stage_two_iterations: 2,
             max_turn_sigmas: 3.0,
         }
     }

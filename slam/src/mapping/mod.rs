@@ -97,6 +97,10 @@ impl Mapper {
             self.recent_points.extend(self.map.add_point(position, second, &observations));
         }
         self.map.refresh_covisibility(second, self.config.mapping.min_covisible_points);
+        if let Some(primitives) = &mut self.primitives {
+            // Only the directions that the first views show say how the map lay before anything drifted.
+            [first, second].into_iter().for_each(|id| primitives.extend(&mut self.map, id, &self.config));
+        }
         self.update(initial.frames)
     }
 
