@@ -307,6 +307,10 @@ impl Worker {
             let images = self.images.take_for(&update);
             self.outbox.push(update, images);
         }
+        for judgement in self.pipeline.take_line_judgements() {
+            let verdict = judgement.verdict.name();
+            metrics::counter!("monoslam_line_candidates_total", "verdict" => verdict).increment(1);
+        }
     }
 
     fn publish(&self, state: Option<FrameState>) {
