@@ -94,7 +94,7 @@ mod tests {
             pinhole.project(&camera_from_world.transform(&point)) + Vector2::new(0.0, off_px)
         };
         TrackView {
-            seen: Observation { keyframe: KeyframeId::new(0), feature_idx: 0 },
+            seen: Observation { keyframe: KeyframeId::new(1).expect("in range"), feature_idx: 0 },
             camera_from_world,
             pinhole,
             bounds: GridBounds { min_x: 0.0, min_y: 0.0, max_x: 640.0, max_y: 480.0 },
