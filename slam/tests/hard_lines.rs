@@ -45,8 +45,10 @@ fn rendered(sequence: &Sequence, index: usize) -> GrayImage {
     GrayImage::from_raw(image.width(), image.height(), image.into_pixels()).unwrap()
 }
 
-/// Kinds of images that move by `shift` pixels.
-const PATTERNS: [(&str, fn(u32, u32, u32) -> u8); 5] = [
+/// The grey level of a pixel of an image moved by `shift` pixels.
+type Pattern = fn(x: u32, y: u32, shift: u32) -> u8;
+
+const PATTERNS: [(&str, Pattern); 5] = [
     ("plain", |_, _, _| 128),
     // Some ten thousand edges.
     ("fine grid", |x, y, shift| if (x + shift) % 6 < 3 || y % 6 < 3 { 220 } else { 30 }),
@@ -60,7 +62,7 @@ const PATTERNS: [(&str, fn(u32, u32, u32) -> u8); 5] = [
     }),
 ];
 
-fn pattern(pixel: fn(u32, u32, u32) -> u8, shift: u32) -> GrayImage {
+fn pattern(pixel: Pattern, shift: u32) -> GrayImage {
     GrayImage::from_fn(640, 480, |x, y| pixel(x, y, shift))
 }
 

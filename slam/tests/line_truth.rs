@@ -3,9 +3,12 @@
 //! The figures in `docs/LINES.md` are printed by
 //! `cargo test -p slam --test line_truth -- --ignored --nocapture`.
 
+#[path = "common/alignment.rs"]
+mod alignment;
 mod common;
 
-use common::{LineError, largest_submap, line_error, pipeline, run, truth_from_map};
+use alignment::{largest_submap, truth_from_map};
+use common::{LineError, line_error, pipeline, run};
 use slam::{FeatureSwitches, LineVerdict, ResumeState};
 use std::collections::BTreeMap;
 use std::sync::Mutex;

@@ -1,8 +1,11 @@
 //! Lines and global primitives of rendered rooms against the true segments and directions.
 
+#[path = "common/alignment.rs"]
+mod alignment;
 mod common;
 
-use common::{LineError, line_error, pipeline, run, truth_from_map};
+use alignment::truth_from_map;
+use common::{LineError, line_error, pipeline, run};
 use geometry::Direction;
 use slam::{FeatureSwitches, ResumeState};
 use std::collections::BTreeMap;

@@ -74,3 +74,72 @@ pub(crate) fn judge(endpoints: &[Vector3<f64>; 2], view: &TrackView, config: &Li
         Verdict::Overlap
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::LineFeature;
+    use crate::map::KeyframeId;
+    use geometry::nalgebra::UnitQuaternion;
+    use geometry::{Pinhole, Pose};
+    use vision::{Descriptor, GridBounds};
+
+    /// A camera at `x` that looks along z, and the part of a line from `share[0]` to `share[1]` that it saw, `off_px`
+    /// beside where it is.
+    fn view(endpoints: &[Vector3<f64>; 2], x: f64, share: [f64; 2], off_px: f64) -> TrackView {
+        let camera_from_world = Pose::new(UnitQuaternion::identity(), Vector3::new(-x, 0.0, 0.0));
+        let pinhole = Pinhole { fx: 460.0, fy: 460.0, cx: 320.0, cy: 240.0 };
+        let at = |share| {
+            let point = endpoints[0].lerp(&endpoints[1], share);
+            pinhole.project(&camera_from_world.transform(&point)) + Vector2::new(0.0, off_px)
+        };
+        TrackView {
+            seen: Observation { keyframe: KeyframeId::new(1).expect("in range"), feature_idx: 0 },
+            camera_from_world,
+            pinhole,
+            bounds: GridBounds { min_x: 0.0, min_y: 0.0, max_x: 640.0, max_y: 480.0 },
+            segment: LineFeature {
+                start: at(share[0]),
+                end: at(share[1]),
+                sigma_px: 0.4,
+                descriptor: Descriptor::default(),
+                track: 0,
+            },
+        }
+    }
+
+    fn verdict(endpoints: &[Vector3<f64>; 2], views: &[([f64; 2], f64)]) -> LineVerdict {
+        let views: Vec<TrackView> = views
+            .iter()
+            .enumerate()
+            .map(|(i, (share, off_px))| view(endpoints, 0.1 * i as f64, *share, *off_px))
+            .collect();
+        verify(endpoints, &views, &LineConfig::default()).err().unwrap_or(LineVerdict::Made)
+    }
+
+    #[test]
+    fn an_edge_that_goes_on_outside_of_the_image_is_true() {
+        // From a second view on only a fifth of it is in the image, so that the midpoints are far apart.
+        let long = [Vector3::new(1.0, 0.5, 2.0), Vector3::new(8.0, 0.5, 2.0)];
+        assert_eq!(
+            verdict(&long, &[([0.0, 0.05], 0.0), ([0.0, 0.06], 0.0), ([0.01, 0.07], 0.0)]),
+            LineVerdict::Made
+        );
+    }
+
+    #[test]
+    fn each_step_refuses_what_it_is_for() {
+        let whole = ([0.0, 1.0], 0.0);
+        let square = [Vector3::new(-0.5, 0.5, 3.0), Vector3::new(0.5, 0.5, 3.0)];
+        assert_eq!(verdict(&square, &[whole, whole, whole]), LineVerdict::Made);
+        assert_eq!(verdict(&square, &[whole, whole, ([0.0, 1.0], 5.0)]), LineVerdict::Reprojection);
+        let end_on = [Vector3::new(0.1, 0.3, 2.0), Vector3::new(0.3, 0.9, 8.0)];
+        assert_eq!(verdict(&end_on, &[whole, whole, whole]), LineVerdict::Sensitivity);
+        // A view of another part confirms the place, as long as two show the same.
+        let (left, right) = (([-0.5, 0.1], 0.0), ([0.95, 1.6], 0.0));
+        assert_eq!(verdict(&square, &[whole, whole, left]), LineVerdict::Made);
+        assert_eq!(verdict(&square, &[whole, left, right]), LineVerdict::Overlap);
+        let behind = [Vector3::new(-0.5, 0.5, -3.0), Vector3::new(0.5, 0.5, -3.0)];
+        assert_eq!(verdict(&behind, &[whole, whole, whole]), LineVerdict::Reprojection);
+    }
+}
