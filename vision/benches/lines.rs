@@ -8,7 +8,7 @@ use vision::GrayImage;
 use vision::decode::{DecodeLimits, EncodedImage, decode_gray};
 use vision::lines::{DetectorKind, LineDetectorConfig, detector};
 
-/// Recorded images, if the recordings are there: a usual one, and of a thousand the two that take longest.
+/// Recorded images, if the recordings are there: a usual one and two that take long.
 fn recorded() -> Vec<(&'static str, GrayImage)> {
     let folder =
         Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/7scenes_redkitchen/images"));
