@@ -25,6 +25,14 @@ pub enum ClientError {
         /// The reason, innermost cause last.
         reason: String,
     },
+    /// Somebody answers at the address, but not by gRPC.
+    #[error(
+        "what answers at {server} does not speak gRPC; is it the address of the HTTP interface, which goes with --http?"
+    )]
+    NotGrpc {
+        /// The address.
+        server: String,
+    },
     /// The server said no.
     #[error("{message}")]
     Refused {
@@ -66,11 +74,23 @@ impl ClientError {
         let is_from_server = status.get_error_details().error_info().is_some();
         let is_of_connection =
             matches!(status.code(), Code::Unavailable | Code::Unknown | Code::Internal | Code::Cancelled);
+        if is_from_web_server(status) {
+            return Self::NotGrpc { server: server.to_owned() };
+        }
         if is_of_connection && !is_from_server {
             return Self::Unreachable { server: server.to_owned(), reason: causes(status) };
         }
         Self::Refused { code: status.code(), message: status.message().to_owned() }
     }
+}
+
+/// Whether a status stands for the page of a web server that knows nothing of what was asked. There is no other sign of
+/// that than tonic's words.
+fn is_from_web_server(status: &tonic::Status) -> bool {
+    let message = status.message();
+    let is_page =
+        message.contains("invalid compression flag") || message.contains("grpc-status header missing");
+    is_page && ["404", "405", "415"].iter().any(|code| message.contains(code))
 }
 
 /// An error with its causes, each once, from the outermost in.
@@ -103,6 +123,10 @@ mod tests {
         assert!(classify(&Status::unknown("h2 protocol error")).is_passing());
         assert!(classify(&Status::unavailable("connection refused")).is_passing());
         assert!(!classify(&Status::not_found("there is no session \"x\"")).is_passing());
+        let page = "protocol error: received message with invalid compression flag: 123 (valid flags are 0 and 1) while \
+                    receiving response with status: 404 Not Found";
+        let page = classify(&Status::internal(page));
+        assert!(!page.is_passing() && page.to_string().contains("does not speak gRPC"), "{page}");
         let details = ErrorDetails::with_error_info("SESSION_FAILED", "monoslam", HashMap::new());
         let failed = Status::with_error_details(Code::Internal, "the session failed", details);
         assert!(!classify(&failed).is_passing());

@@ -65,10 +65,10 @@ impl ServerArgs {
         Ok(SlamClient::connect(&self.server).await?)
     }
 
-    async fn http(&self, client: &mut SlamClient) -> Result<HttpClient> {
+    async fn http(&self) -> Result<HttpClient> {
         let address = match &self.http {
             Some(address) => address.clone(),
-            None => client.http_address().await?,
+            None => self.connect().await?.http_address().await?,
         };
         Ok(HttpClient::new(address))
     }

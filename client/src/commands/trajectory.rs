@@ -31,8 +31,7 @@ pub struct TrajectoryArgs {
 
 /// Fetches it.
 pub async fn run(args: TrajectoryArgs) -> Result<()> {
-    let mut client = args.server.connect().await?;
-    let http = args.server.http(&mut client).await?;
+    let http = args.server.http().await?;
     match &args.output {
         Some(path) => write_file(&http, &args, path).await,
         None => {
