@@ -3,10 +3,10 @@
 use super::anchored_line::AnchoredLine;
 use super::factors::{LineReprojectionFactor, PointReprojectionFactor};
 use super::stage_two::PrimitiveTerms;
-use crate::map::{KeyframeId, LineId, LinePlace, Map, Observation, PointId};
+use crate::map::{KeyframeId, LineId, LinePlace, Map, Observation, PointId, PrimitiveId};
 use crate::mapping::lines::{TrackView, directed, seen_part};
 use geometry::nalgebra::Vector3;
-use geometry::{Direction, OrthonormalLine, Pose};
+use geometry::{Direction, Line3, OrthonormalLine, Pose};
 use optim::{GroupId, Kernel, Manifold, Problem, SolverOptions, VariableId, chi2_95};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -139,37 +139,71 @@ impl Adjustment {
         self.problem.enable_inliers(self.line_group, chi2_95(2));
     }
 
-    /// Puts the result into the map; sightings that disagree with it are removed.
-    pub fn write_back(&self, map: &mut Map) {
-        for id in &self.free {
-            if let Some(variable) = self.poses.get(id) {
-                map.set_pose(*id, *self.problem.value(*variable));
-            }
+    /// What came of it. Sightings that disagree with it are named.
+    pub fn result(&self) -> Adjusted {
+        let value = |id: &KeyframeId| Some((*id, self.pose(*id)?));
+        let disagrees = |chi2: Option<f64>| chi2.is_none_or(|chi2| chi2 > chi2_95(2));
+        let in_world = |(id, anchored, variable): &(LineId, AnchoredLine, VariableId<OrthonormalLine>)| {
+            (*id, anchored.line_in_world(self.problem.value(*variable)))
+        };
+        let point_outliers = self.point_sightings.iter().enumerate();
+        let line_outliers = self.line_sightings.iter().enumerate();
+        let directions = self.primitives.iter().flat_map(|terms| &terms.variables);
+        Adjusted {
+            poses: self.free.iter().filter_map(value).collect(),
+            points: self.points.iter().map(|(id, variable)| (*id, *self.problem.value(*variable))).collect(),
+            point_outliers: point_outliers
+                .filter(|(factor_idx, _)| disagrees(self.problem.chi2(self.point_group, *factor_idx)))
+                .map(|(_, sighting)| *sighting)
+                .collect(),
+            lines: self.lines.iter().map(in_world).collect(),
+            line_outliers: line_outliers
+                .filter(|(factor_idx, _)| disagrees(self.problem.chi2(self.line_group, *factor_idx)))
+                .map(|(_, sighting)| *sighting)
+                .collect(),
+            directions: directions.map(|(id, variable)| (*id, *self.problem.value(*variable))).collect(),
         }
-        for (id, variable) in &self.points {
-            map.set_position(*id, *self.problem.value(*variable));
+    }
+}
+
+/// What bundle adjustment found.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Adjusted {
+    /// `camera_from_world` of the key frames that were free to move.
+    pub poses: BTreeMap<KeyframeId, Pose>,
+    points: Vec<(PointId, Vector3<f64>)>,
+    point_outliers: Vec<(PointId, KeyframeId)>,
+    /// `None` for one that went to infinity.
+    lines: Vec<(LineId, Option<Line3>)>,
+    line_outliers: Vec<(LineId, KeyframeId)>,
+    directions: Vec<(PrimitiveId, Direction)>,
+}
+
+impl Adjusted {
+    /// Puts the result into the map; sightings that disagree with it are removed. What is no longer in the map is passed
+    /// over.
+    pub fn write_into(&self, map: &mut Map) {
+        for (id, pose) in &self.poses {
+            map.set_pose(*id, *pose);
         }
-        for (factor_idx, (point, keyframe)) in self.point_sightings.iter().enumerate() {
-            let chi2 = self.problem.chi2(self.point_group, factor_idx);
-            if chi2.is_none_or(|chi2| chi2 > chi2_95(2)) {
-                map.remove_observation(*point, *keyframe);
-            }
+        for (id, position) in &self.points {
+            map.set_position(*id, *position);
+        }
+        for (point, keyframe) in &self.point_outliers {
+            map.remove_observation(*point, *keyframe);
         }
         for (id, _) in &self.points {
             map.refresh_point_geometry(*id);
         }
-        for (factor_idx, (line, keyframe)) in self.line_sightings.iter().enumerate() {
-            let chi2 = self.problem.chi2(self.line_group, factor_idx);
-            if chi2.is_none_or(|chi2| chi2 > chi2_95(2)) {
-                map.remove_line_observation(*line, *keyframe);
-            }
+        for (line, keyframe) in &self.line_outliers {
+            map.remove_line_observation(*line, *keyframe);
         }
-        for (id, anchored, variable) in &self.lines {
-            write_line(map, *id, anchored, self.problem.value(*variable));
+        for (id, line) in &self.lines {
+            write_line(map, *id, *line);
         }
-        for (id, variable) in self.primitives.iter().flat_map(|terms| &terms.variables) {
+        for (id, direction) in &self.directions {
             if let Some(covariance) = map.primitive(*id).map(|primitive| primitive.covariance) {
-                map.set_primitive_direction(*id, *self.problem.value(*variable), covariance);
+                map.set_primitive_direction(*id, *direction, covariance);
             }
         }
     }
@@ -191,11 +225,11 @@ fn point_factor(
 }
 
 /// Moves a line and finds its ends again; one that no longer is where its segments are goes.
-fn write_line(map: &mut Map, id: LineId, anchored: &AnchoredLine, value: &OrthonormalLine) {
+fn write_line(map: &mut Map, id: LineId, moved: Option<Line3>) {
     let Some(line) = map.line(id) else { return };
     let views: Vec<TrackView> =
         line.observations.iter().filter_map(|seen| TrackView::of(map, *seen)).collect();
-    let place = anchored.line_in_world(value).and_then(|line| {
+    let place = moved.and_then(|line| {
         let endpoints = seen_part(&line, &views)?;
         Some(LinePlace { line: directed(&line, &endpoints)?, endpoints })
     });

@@ -35,7 +35,7 @@ pub(crate) fn optimise(map: &mut Map, centre: KeyframeId, config: &SlamConfig, a
             tracing::info!(keyframe = %centre, "primitives would turn the key frame too far: left out");
         }
     }
-    adjustment.write_back(map);
+    adjustment.result().write_into(map);
 }
 
 fn scope_around(map: &Map, centre: KeyframeId, config: &MappingConfig) -> Option<Scope> {

@@ -76,23 +76,42 @@ impl Adjustment {
         outcome
     }
 
+    /// As [`add_primitives`](Self::add_primitives) where every key frame is free to move: all is put back if points and
+    /// lines object more than they would to a turn of every key frame by as much as is allowed of one.
+    pub fn add_primitives_everywhere(
+        &mut self,
+        config: &PrimitiveConfig,
+        max_iterations: usize,
+        aborted: impl Fn() -> bool,
+    ) -> StageTwo {
+        let Some(terms) = self.primitives.take() else { return StageTwo::NothingToAdd };
+        let before = self.state();
+        let options = SolverOptions { max_iterations, ..SolverOptions::default() };
+        let rise = self.solve_with_primitives(&terms, &options, aborted);
+        let is_refused = rise > self.free.len() as f64 * config.max_turn_sigmas.powi(2);
+        if is_refused {
+            self.restore(before);
+            self.wake(&terms, false);
+        }
+        self.primitives = Some(terms);
+        if is_refused { StageTwo::Refused } else { StageTwo::Added }
+    }
+
     fn second_stage(
         &mut self,
         terms: &PrimitiveTerms,
         config: &PrimitiveConfig,
         centre: KeyframeId,
     ) -> StageTwo {
-        let (before, cost_before) = (self.state(), self.cost_of_sightings());
-        self.wake(terms, true);
+        let before = self.state();
         let options = SolverOptions {
             max_iterations: config.stage_two_iterations,
             min_relative_decrease: MIN_RELATIVE_DECREASE,
             ..SolverOptions::default()
         };
-        self.problem.solve(&options, || false);
         // Of all ways to turn a key frame by n sigmas, the one that suits points and lines best raises their χ² by n²: a
         // smaller rise needs no covariance to be let pass.
-        let rise = 2.0 * (self.cost_of_sightings() - cost_before);
+        let rise = self.solve_with_primitives(terms, &options, || false);
         if rise <= config.max_turn_sigmas.powi(2) {
             return StageTwo::Added;
         }
@@ -105,6 +124,19 @@ impl Adjustment {
         }
         self.restore(after);
         StageTwo::Added
+    }
+
+    /// Returns by how much that raises the χ² of points and lines.
+    fn solve_with_primitives(
+        &mut self,
+        terms: &PrimitiveTerms,
+        options: &SolverOptions,
+        aborted: impl Fn() -> bool,
+    ) -> f64 {
+        let cost_before = self.cost_of_sightings();
+        self.wake(terms, true);
+        self.problem.solve(options, aborted);
+        2.0 * (self.cost_of_sightings() - cost_before)
     }
 
     fn wake(&mut self, terms: &PrimitiveTerms, awake: bool) {

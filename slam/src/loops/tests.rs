@@ -184,6 +184,13 @@ fn last_keyframe(walk: &Walk) -> KeyframeId {
     keyframe_id(walk.cameras.len() - 1)
 }
 
+/// A configuration with so many iterations of global bundle adjustment.
+fn iterating(global_iterations: usize) -> SlamConfig {
+    let mut config = SlamConfig::default();
+    config.loops.global_iterations = global_iterations;
+    config
+}
+
 #[test]
 fn a_closed_loop_takes_the_drift_out_of_the_whole_map() {
     let walk = Walk::ring(drift());
@@ -206,7 +213,8 @@ fn a_closed_loop_takes_the_drift_out_of_the_whole_map() {
         "the ends are neighbours now: {joined:?}"
     );
 
-    let result = global::adjust(&map, SubmapId(0), 20, &AtomicBool::new(false)).expect("there is a map");
+    let result =
+        global::adjust(&map, SubmapId(0), &iterating(20), &AtomicBool::new(false)).expect("there is a map");
     result.merge_into(&mut map);
     map.check().unwrap();
     let error_adjusted = walk.error(&map);
@@ -223,7 +231,7 @@ fn key_frames_made_during_the_adjustment_are_carried_along() {
         snapshot
     };
     LoopCloser::new(&SlamConfig::default()).close(&mut map, last_keyframe(&walk)).expect("a loop");
-    let result = global::adjust(&snapshot, SubmapId(0), 3, &AtomicBool::new(false)).unwrap();
+    let result = global::adjust(&snapshot, SubmapId(0), &iterating(3), &AtomicBool::new(false)).unwrap();
     let relative = |map: &Map| {
         let pose = |back: usize| map.camera_from_world(keyframe_id(walk.cameras.len() - back)).unwrap();
         pose(1) * pose(2).inverse()
@@ -232,7 +240,7 @@ fn key_frames_made_during_the_adjustment_are_carried_along() {
     result.merge_into(&mut map);
     map.check().unwrap();
     assert!(relative(&map).local(&before).norm() < 1e-9, "it follows the key frame it hangs on");
-    let aborted = global::adjust(&map, SubmapId(0), 3, &AtomicBool::new(true));
+    let aborted = global::adjust(&map, SubmapId(0), &iterating(3), &AtomicBool::new(true));
     assert!(aborted.is_none(), "an aborted adjustment gives nothing");
 }
 

@@ -1,7 +1,7 @@
 //! Where global bundle adjustment runs: at once, or on a thread of its own beside tracking and mapping.
 
 use crate::bundle::global::{GlobalResult, adjust};
-use crate::config::Threading;
+use crate::config::{SlamConfig, Threading};
 use crate::map::{Map, SubmapId};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,14 +24,14 @@ impl GlobalStage {
     }
 
     /// Begins to adjust a submap. Returns the result if it is there at once.
-    pub fn start(&mut self, map: &Map, submap: SubmapId, max_iterations: usize) -> Option<GlobalResult> {
+    pub fn start(&mut self, map: &Map, submap: SubmapId, config: &SlamConfig) -> Option<GlobalResult> {
         self.cancel();
         let abort = Arc::new(AtomicBool::new(false));
         if self.threading == Threading::Inline {
-            return adjust(map, submap, max_iterations, &abort);
+            return adjust(map, submap, config, &abort);
         }
-        let (snapshot, aborted) = (map.clone(), abort.clone());
-        let run = move || adjust(&snapshot, submap, max_iterations, &aborted);
+        let (snapshot, config, aborted) = (map.clone(), config.clone(), abort.clone());
+        let run = move || adjust(&snapshot, submap, &config, &aborted);
         // Without a thread the map stays as good as the essential graph has made it.
         let spawned = std::thread::Builder::new().name("slam-global-ba".into()).spawn(run);
         self.under_way = spawned.ok().map(|thread| UnderWay { abort, thread });

@@ -174,8 +174,7 @@ impl Mapper {
         self.lines.forget_missing(&self.map);
         self.recent_points.retain(|id| self.map.point(*id).is_some());
         if closed.moved {
-            let max_iterations = self.config.loops.global_iterations;
-            if let Some(result) = self.global.start(&self.map, closed.submap, max_iterations) {
+            if let Some(result) = self.global.start(&self.map, closed.submap, &self.config) {
                 result.merge_into(&mut self.map);
             }
         }
