@@ -2,11 +2,12 @@
 //! the map was young and its geometry still rough.
 //!
 //! Their features are kept for a while. Once the map is good enough, the recording is followed backwards from the
-//! present frame, one kept frame per new frame, so that no frame takes much longer than another.
+//! present frame, one kept frame per new frame, so that no frame takes much longer than another. What lies between two
+//! submaps and is reached from neither is kept on, and followed from both sides once the two have been merged.
 
 use crate::config::SlamConfig;
 use crate::initialisation::View;
-use crate::map::{FrameRecord, FrameState, Map};
+use crate::map::{FramePose, FrameRecord, FrameState, Map};
 use crate::mapping::median_depth;
 use crate::report::TrackingOutcome;
 use crate::tracking::Tracker;
@@ -23,11 +24,15 @@ pub(crate) struct Backfill {
     config: SlamConfig,
     /// Frames since the camera was last followed, oldest first.
     waiting: VecDeque<Waiting>,
-    /// The way back from a frame that was placed, and the frames to visit, oldest first.
-    backward: Option<(Tracker, VecDeque<Waiting>)>,
     /// Where the way back begins, until the map is good enough.
-    start: Option<TrackedFrame>,
-    n_failures: usize,
+    start: Option<Anchor>,
+    /// The last frame that was placed.
+    last: Option<Anchor>,
+    /// Where the camera was when it was lost last.
+    lost_at: Option<Anchor>,
+    way: Option<Way>,
+    /// What lies between submaps, oldest first.
+    gaps: VecDeque<Gap>,
     is_mature: bool,
 }
 
@@ -38,21 +43,63 @@ struct Waiting {
     n_inliers: Option<usize>,
 }
 
+/// A placed frame that can be found again after corrections of the map.
+#[derive(Clone)]
+struct Anchor {
+    frame: TrackedFrame,
+    place: FramePose,
+}
+
+/// Kept frames that are being visited, one after the other.
+struct Way {
+    tracker: Tracker,
+    /// In the opposite order to that of the visit.
+    views: Vec<Waiting>,
+    /// Frames without a pose that were visited in vain, in the order of the visit.
+    missed: Vec<Waiting>,
+    /// How far it has come.
+    reached: Anchor,
+    n_failures: usize,
+    rest: Rest,
+}
+
+/// What becomes of the frames that a way does not reach.
+enum Rest {
+    /// They lie behind the place where the camera was lost, if it was followed before.
+    Gap(Option<Box<Anchor>>),
+    /// They are visited from the other side.
+    Forward(Box<Anchor>),
+    /// They stay without a pose.
+    Nothing,
+}
+
+/// Frames between two submaps.
+struct Gap {
+    before: Anchor,
+    after: Anchor,
+    /// Oldest first.
+    views: Vec<Waiting>,
+}
+
 impl Backfill {
     pub fn new(config: SlamConfig) -> Self {
         Self {
             config,
             waiting: VecDeque::new(),
-            backward: None,
             start: None,
-            n_failures: 0,
+            last: None,
+            lost_at: None,
+            way: None,
+            gaps: VecDeque::new(),
             is_mature: false,
         }
     }
 
     /// Keeps a frame that got no pose, or got one while the map was young; the oldest goes when there are too many.
     pub fn keep(&mut self, view: &View, n_inliers: Option<usize>) {
-        if n_inliers.is_some() && self.is_mature {
+        if n_inliers.is_none() {
+            self.lost_at = self.last.take().or(self.lost_at.take());
+        } else if self.is_mature {
             return;
         }
         if self.waiting.len() >= self.config.initialisation.max_backfill_views {
@@ -62,16 +109,22 @@ impl Backfill {
     }
 
     /// Notes that a frame was placed: the frames kept until now can be reached from it.
-    pub fn placed(&mut self, frame: &TrackedFrame) {
+    pub fn placed(&mut self, frame: &TrackedFrame, map: &Map) {
+        let anchor = Anchor::of(frame, map);
         if !self.waiting.is_empty() {
-            self.start = Some(frame.clone());
+            self.start.clone_from(&anchor);
         }
+        self.last = anchor;
     }
 
-    /// What was placed is no longer in the map: kept frames may be placed anew.
+    /// What was placed since the camera was lost is no longer in the map: kept frames may be placed anew.
     pub fn forget_poses(&mut self) {
+        if let Some(Way { views, rest: Rest::Gap(lost_at), .. }) = self.way.take_if(|way| way.is_back()) {
+            self.lost_at = lost_at.map(|anchor| *anchor);
+            views.into_iter().rev().for_each(|waiting| self.waiting.push_front(waiting));
+        }
         self.waiting.iter_mut().for_each(|waiting| waiting.n_inliers = None);
-        self.backward = None;
+        self.last = None;
         self.start = None;
         self.is_mature = false;
     }
@@ -79,63 +132,140 @@ impl Backfill {
     /// A new submap begins: frames without a pose may still be reached from it, and it is young again.
     pub fn begin_submap(&mut self) {
         self.waiting.retain(|waiting| waiting.n_inliers.is_none());
-        self.backward = None;
+        if self.way.as_ref().is_some_and(Way::is_back) {
+            self.end_way();
+        }
         self.start = None;
         self.is_mature = false;
     }
 
     /// Whether there is nothing left to do.
-    pub fn is_done(&self) -> bool {
-        self.start.is_none() && self.backward.is_none()
+    pub fn is_done(&self, map: &Map) -> bool {
+        self.start.is_none() && self.way.is_none() && !self.gaps.iter().any(|gap| gap.is_bridged(map))
     }
 
     /// Tries to place one kept frame, unless the map is too young and `force` is not set.
     pub fn step(&mut self, map: &Map, force: bool) -> Option<FrameRecord> {
-        if self.backward.is_none() {
-            let start = self.start.as_ref()?.clone();
-            let is_full = self.waiting.len() >= self.config.initialisation.max_backfill_views;
-            self.is_mature |= is_mature(map, &start, self.config.initialisation.mature_baseline_share);
-            if !(self.is_mature || is_full || force) {
-                return None;
-            }
-            self.start = None;
-            let mut tracker = Tracker::follower(self.config.clone());
-            tracker.start(start, map);
-            self.backward = Some((tracker, std::mem::take(&mut self.waiting)));
-            self.n_failures = 0;
+        if self.way.is_none() {
+            self.way = self.way_back(map, force).or_else(|| self.way_into_gap(map));
         }
-        let (tracker, views) = self.backward.as_mut()?;
-        let Some(Waiting { view, n_inliers }) = views.pop_back() else {
-            self.backward = None;
-            return None;
-        };
-        tracker.adopt(map);
-        let resume = tracker.last_frame().cloned();
-        let tracked = tracker.track(view.sequence, view.timestamp_ns, view.features, map);
-        match (tracked.outcome, tracked.frame) {
-            (TrackingOutcome::Tracked, Some(frame)) => {
-                self.n_failures = 0;
-                let n_required = MIN_INLIER_SHARE * n_inliers.unwrap_or(0) as f64;
-                if (tracked.inliers.total() as f64) < n_required {
-                    return None;
-                }
-                Some(FrameRecord {
-                    sequence: frame.sequence,
-                    timestamp_ns: frame.timestamp_ns,
-                    state: FrameState::Tracked,
-                    pose: frame.pose_in(map),
-                    backfilled: n_inliers.is_none(),
-                })
-            }
-            _ => {
-                self.n_failures += 1;
-                match resume.filter(|_| self.n_failures < MAX_FAILURES) {
-                    Some(frame) => tracker.start(frame, map),
-                    None => self.backward = None,
-                }
+        let way = self.way.as_mut()?;
+        let next = if way.n_failures < MAX_FAILURES { way.views.pop() } else { None };
+        match next {
+            Some(waiting) => way.visit(waiting, map),
+            None => {
+                self.end_way();
                 None
             }
         }
+    }
+
+    /// From the present frame to those kept before it.
+    fn way_back(&mut self, map: &Map, force: bool) -> Option<Way> {
+        let start = self.start.as_ref()?;
+        let is_full = self.waiting.len() >= self.config.initialisation.max_backfill_views;
+        self.is_mature |= is_mature(map, &start.frame, self.config.initialisation.mature_baseline_share);
+        if !(self.is_mature || is_full || force) {
+            return None;
+        }
+        let start = self.start.take()?;
+        let views = std::mem::take(&mut self.waiting).into();
+        let rest = Rest::Gap(self.lost_at.take().map(Box::new));
+        Some(Way::new(start, views, rest, &self.config))
+    }
+
+    /// From the later side of a gap whose sides have come into one frame of reference.
+    fn way_into_gap(&mut self, map: &Map) -> Option<Way> {
+        let bridged = self.gaps.iter().position(|gap| gap.is_bridged(map))?;
+        let Gap { before, after, views } = self.gaps.remove(bridged)?;
+        Some(Way::new(after, views, Rest::Forward(Box::new(before)), &self.config))
+    }
+
+    /// Sees to the frames that a way has not reached.
+    fn end_way(&mut self) {
+        let Some(Way { views, missed, reached, rest, .. }) = self.way.take() else { return };
+        let mut left = missed;
+        left.extend(views.into_iter().rev().filter(|waiting| waiting.n_inliers.is_none()));
+        if left.is_empty() {
+            return;
+        }
+        match rest {
+            Rest::Gap(Some(before)) if before.frame.submap != reached.frame.submap => {
+                left.reverse();
+                self.gaps.push_back(Gap { before: *before, after: reached, views: left });
+                let n_kept = |gaps: &VecDeque<Gap>| gaps.iter().map(|gap| gap.views.len()).sum::<usize>();
+                while n_kept(&self.gaps) > self.config.initialisation.max_backfill_views {
+                    self.gaps.pop_front();
+                }
+            }
+            Rest::Forward(before) => {
+                self.way = Some(Way::new(*before, left, Rest::Nothing, &self.config));
+            }
+            Rest::Gap(_) | Rest::Nothing => {}
+        }
+    }
+}
+
+impl Anchor {
+    fn of(frame: &TrackedFrame, map: &Map) -> Option<Self> {
+        Some(Self { frame: frame.clone(), place: frame.pose_in(map)? })
+    }
+
+    /// The frame where the map now has it.
+    fn now(&self, map: &Map) -> Option<TrackedFrame> {
+        let (submap, camera_from_world) = map.locate(&self.place)?;
+        Some(TrackedFrame { submap, camera_from_world, ..self.frame.clone() })
+    }
+}
+
+impl Gap {
+    /// Whether both sides are in one frame of reference.
+    fn is_bridged(&self, map: &Map) -> bool {
+        let submap = |anchor: &Anchor| map.locate(&anchor.place).map(|(submap, _)| submap);
+        submap(&self.before).is_some_and(|before| submap(&self.after) == Some(before))
+    }
+}
+
+impl Way {
+    fn new(start: Anchor, views: Vec<Waiting>, rest: Rest, config: &SlamConfig) -> Self {
+        let tracker = Tracker::follower(config.clone());
+        Self { tracker, views, missed: Vec::new(), reached: start, n_failures: 0, rest }
+    }
+
+    /// Whether it leads back from the present, rather than into a gap.
+    fn is_back(&self) -> bool {
+        matches!(self.rest, Rest::Gap(_))
+    }
+
+    /// Tries to place a frame next to the one reached last.
+    fn visit(&mut self, waiting: Waiting, map: &Map) -> Option<FrameRecord> {
+        let Waiting { view, n_inliers } = waiting;
+        match self.tracker.last_frame() {
+            Some(_) => self.tracker.adopt(map),
+            None => self.tracker.start(self.reached.now(map)?, map),
+        }
+        let tracked = self.tracker.track(view.sequence, view.timestamp_ns, view.features.clone(), map);
+        let placed = tracked.frame.filter(|_| matches!(tracked.outcome, TrackingOutcome::Tracked));
+        let Some(anchor) = placed.and_then(|frame| Anchor::of(&frame, map)) else {
+            self.n_failures += 1;
+            // The next is looked for from where the way had come, without a motion.
+            self.tracker.forget();
+            if n_inliers.is_none() {
+                self.missed.push(Waiting { view, n_inliers });
+            }
+            return None;
+        };
+        self.n_failures = 0;
+        let pose = Some(anchor.place);
+        self.reached = anchor;
+        let n_required = MIN_INLIER_SHARE * n_inliers.unwrap_or(0) as f64;
+        (tracked.inliers.total() as f64 >= n_required).then_some(FrameRecord {
+            sequence: view.sequence,
+            timestamp_ns: view.timestamp_ns,
+            state: FrameState::Tracked,
+            pose,
+            backfilled: n_inliers.is_none(),
+        })
     }
 }
 

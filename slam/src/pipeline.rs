@@ -234,7 +234,7 @@ impl Pipeline {
     pub fn finish(&mut self) -> Vec<MapUpdate> {
         self.mapping.settle();
         self.adopt_map();
-        while !self.backfill.is_done() {
+        while !self.backfill.is_done(&self.map) {
             self.unrecorded.extend(self.backfill.step(&self.map, true));
         }
         self.flush_records();
@@ -522,7 +522,7 @@ impl Pipeline {
             None => self.backfill.keep(view, None),
             Some(frame) => {
                 self.backfill.keep(view, Some(verdict.inliers.total()));
-                self.backfill.placed(frame);
+                self.backfill.placed(frame, &self.map);
                 if let Some(record) = self.backfill.step(&self.map, false) {
                     self.unrecorded.push(record);
                 }
