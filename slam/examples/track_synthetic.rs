@@ -211,7 +211,10 @@ fn image(sequence: &Sequence, index: usize, folder: Option<&Path>) -> Result<Gra
     let pixels = sequence.frame(index).image.into_pixels();
     if let (Some(folder), Some(path)) = (folder, kept) {
         std::fs::create_dir_all(folder)?;
-        std::fs::write(path, &pixels)?;
+        // Several runs may share the folder: a file of that name is always whole.
+        let partial = path.with_extension(std::process::id().to_string());
+        std::fs::write(&partial, &pixels)?;
+        std::fs::rename(&partial, path)?;
     }
     GrayImage::from_raw(width, height, pixels).map_err(|error| error.to_string().into())
 }
@@ -366,7 +369,10 @@ impl Score {
         let third = seen.len() / 3;
         let length =
             |points: &[Vector3<f64>]| points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum::<f64>();
-        let scale = |range: std::ops::Range<usize>| length(&seen[range.clone()]) / length(&wanted[range]);
+        let scale = |range: std::ops::Range<usize>| {
+            Similarity::from_correspondences(&wanted[range.clone()], &seen[range], true)
+                .map_or(f64::NAN, |seen_from_wanted| seen_from_wanted.scale)
+        };
         Some(Self {
             path: length(&wanted),
             ate: (squared / n).sqrt(),

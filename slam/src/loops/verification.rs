@@ -4,8 +4,9 @@
 use super::Place;
 use super::alignment::{MAX_SQUARED_ERROR, camera_from_place, find_place_points};
 use crate::config::{LoopConfig, SlamConfig};
-use crate::map::{Keyframe, KeyframeId, Map};
+use crate::map::{Keyframe, KeyframeId, Map, PointLandmark};
 use crate::mapping::median_depth;
+use crate::tracking::search::PredictedView;
 use geometry::nalgebra::Vector3;
 use geometry::{Direction, Similarity};
 
@@ -32,7 +33,10 @@ pub(super) fn verify(
     }
     let count = |keyframe: &Keyframe| n_agreeing(map, keyframe, place, place_from_current, config);
     let n_matches = count(keyframe);
-    if n_matches < loops.min_projected_matches {
+    let n_expected = n_visible(map, keyframe, place, place_from_current, config);
+    // Where two places look alike, it is what both have that is found, not the rest.
+    let n_required = loops.min_found_share * n_expected as f64;
+    if n_matches < loops.min_projected_matches || (n_matches as f64) < n_required {
         return None;
     }
     let neighbours: Vec<&Keyframe> = keyframe
@@ -69,6 +73,25 @@ fn n_agreeing(
         error.norm_squared() <= MAX_SQUARED_ERROR
     };
     matches.iter().filter(|found| agrees(*found)).count()
+}
+
+/// Points of the place that the key frame should show if the similarity is right.
+fn n_visible(
+    map: &Map,
+    keyframe: &Keyframe,
+    place: &Place,
+    place_from_current: &Similarity,
+    config: &SlamConfig,
+) -> usize {
+    let camera = camera_from_place(keyframe, place_from_current);
+    let centre = camera.centre();
+    let min_view_cosine = config.tracking.max_view_angle_deg.to_radians().cos();
+    let is_visible = |point: &&PointLandmark| {
+        PredictedView::of(point, &camera, &centre, &keyframe.features, min_view_cosine).is_some()
+    };
+    let n_visible = place.points.iter().filter_map(|id| map.point(*id)).filter(is_visible).count();
+    // Of crowded places the extractor picks only so many keypoints.
+    n_visible.min(keyframe.features.len())
 }
 
 /// Whether drift since the place was seen can be as large as the correction. Two places that look alike differ by the

@@ -1,7 +1,7 @@
 //! A frame while it is being tracked.
 
 use crate::features::FrameFeatures;
-use crate::map::{FramePose, Keyframe, KeyframeId, LineId, Map, PointId, SubmapId};
+use crate::map::{FramePose, Keyframe, KeyframeId, LineId, Map, PointId, PrimitiveId, SubmapId};
 use geometry::Pose;
 use std::sync::Arc;
 
@@ -29,6 +29,8 @@ pub(crate) struct TrackedFrame {
     pub points: Vec<Option<PointId>>,
     /// The landmark each segment was matched to.
     pub lines: Vec<Option<LineId>>,
+    /// The primitive each segment runs along.
+    pub primitives: Vec<Option<PrimitiveId>>,
     pub camera_from_world: Pose,
     /// The key frame that shares the most points with this one.
     pub reference: KeyframeId,
@@ -46,7 +48,18 @@ impl TrackedFrame {
         submap: SubmapId,
     ) -> Self {
         let (points, lines) = (vec![None; features.len()], vec![None; features.lines.len()]);
-        Self { sequence, timestamp_ns, features, points, lines, camera_from_world, reference, submap }
+        let primitives = vec![None; features.lines.len()];
+        Self {
+            sequence,
+            timestamp_ns,
+            features,
+            points,
+            lines,
+            primitives,
+            camera_from_world,
+            reference,
+            submap,
+        }
     }
 
     /// The frame's place in the trajectory, relative to its reference key frame as it stands in `map`.

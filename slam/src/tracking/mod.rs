@@ -5,11 +5,13 @@ mod keyframe_policy;
 pub(crate) mod lines;
 mod local_map;
 mod pose;
+mod primitives;
 pub(crate) mod relocalisation;
 pub(crate) mod search;
 
 pub(crate) use local_map::Sightings;
 use pose::{Placement, place_frame};
+use primitives::PrimitiveTracks;
 
 use crate::config::{ContinuityConfig, SlamConfig, TrackingConfig};
 use crate::continuity::Reach;
@@ -52,6 +54,7 @@ pub(crate) struct Tracker {
     config: SlamConfig,
     local_map: LocalMap,
     line_tracks: LineTracks,
+    primitive_tracks: PrimitiveTracks,
     /// Absent where a lost camera is not to be looked for.
     relocaliser: Option<Relocaliser>,
     /// How often points were seen since the last key frame.
@@ -100,6 +103,7 @@ impl Tracker {
             config,
             local_map: LocalMap::default(),
             line_tracks: LineTracks::default(),
+            primitive_tracks: PrimitiveTracks::default(),
             relocaliser: None,
             sightings: Sightings::default(),
             last: None,
@@ -124,6 +128,7 @@ impl Tracker {
             relocaliser.learn(map);
         }
         self.line_tracks.learn(map);
+        self.primitive_tracks.learn(map);
         let Some(last) = &mut self.last else { return };
         let Some((anchor, (submap, camera_from_world))) =
             map.anchor_of(last.place.reference).zip(map.locate(&last.place))
@@ -200,21 +205,21 @@ impl Tracker {
             let frame = blank(last.predict(timestamp_ns), last.frame.reference, last.frame.submap);
             self.follow(last, frame, map)
         });
-        let relocalised = followed.is_none();
-        let Some(mut frame) = followed.or_else(|| {
-            let frame = blank(Pose::identity(), KeyframeId::from_index(0), SubmapId::default());
-            self.relocalise(frame, map, None)
-        }) else {
-            let n_candidates = self.relocaliser.as_ref().map_or(0, Relocaliser::n_candidates);
-            let lost = self.lose(timestamp_ns, LostReason::NotRelocalised { n_candidates });
-            return Tracked { n_candidates: Some(n_candidates), ..lost };
-        };
-        if relocalised {
-            self.n_since_relocalisation = Some(0);
+        if let Some(mut frame) = followed {
+            let (placement, n_expected) = self.track_local_map(&mut frame, map);
+            let outcome = judge(&placement, n_expected, self.is_coasting(), &self.config.tracking);
+            return self.conclude(frame, placement.inliers, outcome, false, map);
         }
-        let (placement, n_expected) = self.track_local_map(&mut frame, map);
-        let outcome = judge(&placement, n_expected, relocalised || self.is_coasting(), &self.config.tracking);
-        self.conclude(frame, placement.inliers, outcome, relocalised, map)
+        let blank = blank(Pose::identity(), KeyframeId::from_index(0), SubmapId::default());
+        let found = self.relocalise(&blank, map, None);
+        let n_candidates = self.relocaliser.as_ref().map_or(0, Relocaliser::n_candidates);
+        match found {
+            Some((frame, inliers, outcome)) => self.conclude(frame, inliers, outcome, true, map),
+            None => {
+                let lost = self.lose(timestamp_ns, LostReason::NotRelocalised { n_candidates });
+                Tracked { n_candidates: Some(n_candidates), ..lost }
+            }
+        }
     }
 
     /// Looks for a frame in the submaps other than the one it is followed in. Where it is found there, the camera is
@@ -227,40 +232,70 @@ impl Tracker {
         map: &Map,
         except: SubmapId,
     ) -> Option<Tracked> {
-        let blank = TrackedFrame {
-            sequence,
-            timestamp_ns,
-            points: vec![None; features.len()],
-            lines: vec![None; features.lines.len()],
-            features,
-            camera_from_world: Pose::identity(),
-            reference: KeyframeId::from_index(0),
-            submap: except,
-        };
-        let mut frame = self.relocalise(blank, map, Some(except))?;
-        let before = (self.n_since_relocalisation, self.last.take());
-        self.n_since_relocalisation = Some(0);
-        let (placement, n_expected) = self.track_local_map(&mut frame, map);
-        let outcome = judge(&placement, n_expected, true, &self.config.tracking);
-        if matches!(outcome, TrackingOutcome::Tracked) {
-            return Some(self.conclude(frame, placement.inliers, outcome, true, map));
+        let reference = KeyframeId::from_index(0);
+        let blank =
+            TrackedFrame::blank(sequence, timestamp_ns, features, Pose::identity(), reference, except);
+        let before = self.last.take();
+        match self.relocalise(&blank, map, Some(except)) {
+            Some((frame, inliers, outcome @ TrackingOutcome::Tracked)) => {
+                Some(self.conclude(frame, inliers, outcome, true, map))
+            }
+            _ => {
+                self.last = before;
+                None
+            }
         }
-        (self.n_since_relocalisation, self.last) = before;
-        None
     }
 
+    /// Tries the places that look like a frame until one fits that the camera can have reached.
     fn relocalise(
         &mut self,
-        blank: TrackedFrame,
+        blank: &TrackedFrame,
         map: &Map,
         except: Option<SubmapId>,
-    ) -> Option<TrackedFrame> {
+    ) -> Option<(TrackedFrame, Inliers, TrackingOutcome)> {
         let reaches: Vec<Reach> = self
             .last_seen
             .values()
             .filter_map(|seen| seen.reach(map, blank.timestamp_ns, &self.config.continuity))
             .collect();
-        self.relocaliser.as_mut()?.relocalise(blank, map, except, &reaches)
+        let candidates = self.relocaliser.as_mut()?.candidates(blank, map, except);
+        for candidate in candidates {
+            let found = map
+                .keyframe(candidate)
+                .and_then(|keyframe| self.relocaliser.as_mut()?.try_place(blank.clone(), keyframe, map));
+            let Some(mut frame) = found else { continue };
+            let before = (self.n_since_relocalisation.replace(0), self.sightings.clone());
+            let (placement, n_expected) = self.track_local_map(&mut frame, map);
+            let outcome = judge(&placement, n_expected, true, &self.config.tracking);
+            let is_lost = matches!(outcome, TrackingOutcome::Lost(_));
+            if !is_lost && self.is_credible(&frame, placement.inliers, n_expected, &reaches) {
+                return Some((frame, placement.inliers, outcome));
+            }
+            (self.n_since_relocalisation, self.sightings) = before;
+        }
+        None
+    }
+
+    /// Whether enough of what a place should show was found there: where two places look alike, it is what both have.
+    fn is_credible(
+        &self,
+        frame: &TrackedFrame,
+        inliers: Inliers,
+        n_expected: usize,
+        reaches: &[Reach],
+    ) -> bool {
+        let share = inliers.total() as f64 / n_expected.max(1) as f64;
+        // A camera seen a moment ago in another submap is at a place of this one that nothing is known of.
+        let reach = reaches.iter().find(|reach| reach.submap == frame.submap);
+        let centre = frame.camera_from_world.centre();
+        if reach.map_or(reaches.is_empty(), |reach| reach.includes(&centre)) {
+            let relocalisation = &self.config.relocalisation;
+            let n_required = relocalisation.min_found_share * n_expected as f64;
+            return inliers.total() as f64 >= n_required.min(relocalisation.plentiful_inliers as f64);
+        }
+        let continuity = &self.config.continuity;
+        inliers.total() >= continuity.n_beyond_doubt && share >= continuity.share_beyond_doubt
     }
 
     /// Whether a frame with these inliers should become a key frame.
@@ -281,7 +316,8 @@ impl Tracker {
     }
 
     /// By the motion so far, or, where little is found by that, by what the reference key frame sees.
-    fn follow(&self, last: &LastFrame, frame: TrackedFrame, map: &Map) -> Option<TrackedFrame> {
+    fn follow(&self, last: &LastFrame, mut frame: TrackedFrame, map: &Map) -> Option<TrackedFrame> {
+        self.primitive_tracks.associate(&mut frame, map);
         let by_motion = self.follow_motion(last, frame.clone(), map);
         if by_motion
             .as_ref()
@@ -330,7 +366,7 @@ impl Tracker {
         if n_matches < config.min_first_inliers {
             return None;
         }
-        let n_inliers = place_frame(&mut frame, map).inliers.total();
+        let n_inliers = place_frame(&mut frame, map, &self.config.primitives).inliers.total();
         (n_inliers >= config.min_first_inliers).then_some((frame, n_inliers))
     }
 
@@ -353,7 +389,7 @@ impl Tracker {
             frame.points[feature_idx] = Some(id);
         }
         self.line_tracks.associate(&mut frame, map, &self.config.lines);
-        let n_inliers = place_frame(&mut frame, map).inliers.total();
+        let n_inliers = place_frame(&mut frame, map, &self.config.primitives).inliers.total();
         (n_inliers >= config.min_first_inliers).then_some((frame, n_inliers))
     }
 
@@ -368,7 +404,7 @@ impl Tracker {
         let radius = config.map_search_radius_px * if wide { WIDE_SEARCH_FACTOR } else { 1.0 };
         let n_visible = self.local_map.search(map, frame, radius, config, &mut self.sightings);
         self.local_map.search_lines(map, frame, &self.config.lines, &mut self.sightings);
-        let placement = place_frame(frame, map);
+        let placement = place_frame(frame, map, &self.config.primitives);
         frame.points.iter().flatten().for_each(|id| self.sightings.found(*id));
         frame.lines.iter().flatten().for_each(|id| self.sightings.line_found(*id));
         // Of crowded places the extractor picks only so many keypoints.
@@ -395,6 +431,7 @@ impl Tracker {
             (motion, frame.timestamp_ns - last.frame.timestamp_ns)
         });
         self.line_tracks.remember(&frame);
+        self.primitive_tracks.remember(&frame);
         // Weak poses jump about: their motion says nothing of the camera's.
         let is_good = matches!(outcome, TrackingOutcome::Tracked);
         self.note_seen(&frame, motion.as_ref().filter(|_| is_good), map);

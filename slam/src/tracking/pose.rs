@@ -2,18 +2,22 @@
 
 use super::frame::{Inliers, TrackedFrame};
 use crate::bundle::anchored_line::AnchoredLine;
-use crate::bundle::factors::{LineReprojectionFactor, PointReprojectionFactor};
-use crate::features::FrameFeatures;
-use crate::map::Map;
+use crate::bundle::factors::{LineReprojectionFactor, PointReprojectionFactor, VanishingReprojectionFactor};
+use crate::config::PrimitiveConfig;
+use crate::features::{FrameFeatures, LineFeature};
+use crate::map::{Map, PrimitiveId};
 use crate::report::PoseUncertainty;
 use geometry::nalgebra::{Matrix6, Vector3};
-use geometry::{OrthonormalLine, Pose};
+use geometry::{Direction, OrthonormalLine, Pose};
 use optim::{HoldSecond, Kernel, SingleOptions, UnaryGroup, chi2_95, optimize_single};
 
 /// A keypoint and the fixed point it sees, as a term of the pose alone.
 type PointSighting = HoldSecond<PointReprojectionFactor, Vector3<f64>>;
 /// A segment and the fixed line it sees, likewise.
 type LineSighting = HoldSecond<LineReprojectionFactor, OrthonormalLine>;
+
+/// A segment and the fixed direction it runs along, likewise.
+type DirectionSighting = HoldSecond<VanishingReprojectionFactor, Direction>;
 
 /// A frame's pose as its landmarks determine it.
 #[derive(Clone, Copy, Debug)]
@@ -24,8 +28,9 @@ pub(crate) struct Placement {
     pub uncertainty: PoseUncertainty,
 }
 
-/// Places a frame by the landmarks it was matched to and drops the matches that disagree.
-pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map) -> Placement {
+/// Places a frame by the landmarks it was matched to and by the primitives its segments run along, and drops the matches
+/// that disagree.
+pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map, config: &PrimitiveConfig) -> Placement {
     let (mut point_slots, mut points) = (Vec::with_capacity(frame.points.len()), Vec::new());
     for (feature_idx, slot) in frame.points.iter_mut().enumerate() {
         let Some(id) = *slot else { continue };
@@ -49,9 +54,11 @@ pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map) -> Placement {
     }
     let mut points = UnaryGroup::new(Kernel::huber_95(2), chi2_95(2), points);
     let mut lines = UnaryGroup::new(Kernel::huber_95(2), chi2_95(2), lines);
+    let directions = direction_sightings(frame, map, config);
+    let mut directions = UnaryGroup::new(Kernel::huber_95(1), chi2_95(1), directions);
     let report = optimize_single::<Pose, 6>(
         &frame.camera_from_world,
-        &mut [&mut points, &mut lines],
+        &mut [&mut points, &mut lines, &mut directions],
         &SingleOptions::default(),
     );
     frame.camera_from_world = report.value;
@@ -65,6 +72,20 @@ pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map) -> Placement {
         inliers: Inliers { n_points: points.n_inliers(), n_lines: lines.n_inliers() },
         uncertainty: uncertainty_of(&report.information, median_depth(frame, map)),
     }
+}
+
+fn direction_sightings(frame: &TrackedFrame, map: &Map, config: &PrimitiveConfig) -> Vec<DirectionSighting> {
+    let segments = frame.features.lines.iter().zip(&frame.primitives);
+    let sighting = |(segment, id): (&LineFeature, &Option<PrimitiveId>)| {
+        let factor = VanishingReprojectionFactor {
+            pinhole: frame.features.pinhole,
+            start_px: segment.start,
+            end_px: segment.end,
+            inverse_sigma: 1.0 / (segment.sigma_px * config.segment_sigma_factor),
+        };
+        Some(HoldSecond { factor, second: map.primitive((*id)?)?.direction })
+    };
+    segments.filter_map(sighting).collect()
 }
 
 /// Standard deviations from the information on a pose, whose tangent is the turn, then the shift, of the camera.

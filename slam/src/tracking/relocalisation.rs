@@ -3,9 +3,8 @@
 use super::frame::TrackedFrame;
 use super::pose::place_frame;
 use super::search::{Expected, match_keyframe, search_by_motion};
-use crate::config::{RelocalisationConfig, SlamConfig};
-use crate::continuity::Reach;
-use crate::map::{Keyframe, Map, PointId, SubmapId};
+use crate::config::{PrimitiveConfig, RelocalisationConfig, SlamConfig};
+use crate::map::{Keyframe, KeyframeId, Map, PointId, SubmapId};
 use crate::places::KeyframePlaces;
 use geometry::absolute_pose::{PoseObservation, ransac_pose};
 use geometry::ransac::RansacConfig;
@@ -21,8 +20,7 @@ const N_NEIGHBOURS: usize = 10;
 /// Recognises places. Learns the key frames of a map as they appear.
 pub(crate) struct Relocaliser {
     config: RelocalisationConfig,
-    /// Landmarks that show a place beyond doubt, however far it is.
-    n_beyond_doubt: usize,
+    primitives: PrimitiveConfig,
     places: KeyframePlaces,
     rng: ChaCha8Rng,
     n_candidates: usize,
@@ -32,7 +30,7 @@ impl Relocaliser {
     pub fn new(config: &SlamConfig) -> Self {
         Self {
             config: config.relocalisation.clone(),
-            n_beyond_doubt: config.continuity.n_beyond_doubt,
+            primitives: config.primitives.clone(),
             places: KeyframePlaces::default(),
             rng: ChaCha8Rng::seed_from_u64(config.seed),
             n_candidates: 0,
@@ -49,30 +47,26 @@ impl Relocaliser {
         self.n_candidates
     }
 
-    /// The frame with a pose and matches, if a place in the map fits it that the camera can have reached. A submap may be
-    /// left out.
-    pub fn relocalise(
+    /// The key frames that look most like a frame, best first. A submap may be left out.
+    pub fn candidates(
         &mut self,
-        blank: TrackedFrame,
+        blank: &TrackedFrame,
         map: &Map,
         except: Option<SubmapId>,
-        reaches: &[Reach],
-    ) -> Option<TrackedFrame> {
+    ) -> Vec<KeyframeId> {
         let is_wanted = |id| map.keyframe(id).is_some_and(|keyframe| Some(keyframe.submap) != except);
         let candidates =
             self.places.most_similar(&blank.features.descriptors, self.config.max_candidates, is_wanted);
         self.n_candidates = candidates.len();
-        candidates.iter().find_map(|candidate| {
-            self.try_place(blank.clone(), map.keyframe(candidate.keyframe)?, map, reaches)
-        })
+        candidates.iter().map(|candidate| candidate.keyframe).collect()
     }
 
-    fn try_place(
+    /// The frame with a pose and matches, if the place of a key frame fits it.
+    pub fn try_place(
         &mut self,
         mut frame: TrackedFrame,
         keyframe: &Keyframe,
         map: &Map,
-        reaches: &[Reach],
     ) -> Option<TrackedFrame> {
         let matches = match_keyframe(keyframe, &frame.features);
         if matches.len() < self.config.min_matches {
@@ -81,20 +75,15 @@ impl Relocaliser {
         frame.reference = keyframe.id;
         frame.submap = keyframe.submap;
         self.place_by_matches(&mut frame, &matches, map)?;
-        let mut n_inliers = place_frame(&mut frame, map).inliers.total();
+        let mut n_inliers = place_frame(&mut frame, map, &self.primitives).inliers.total();
         if n_inliers < self.config.min_first_inliers {
             return None;
         }
         if n_inliers < self.config.min_inliers {
             self.search_around(&mut frame, keyframe, map);
-            n_inliers = place_frame(&mut frame, map).inliers.total();
+            n_inliers = place_frame(&mut frame, map, &self.primitives).inliers.total();
         }
-        let centre = frame.camera_from_world.centre();
-        // A camera seen a moment ago in another submap is at a place of this one that nothing is known of.
-        let reach = reaches.iter().find(|reach| reach.submap == frame.submap);
-        let is_reached = reach.map_or(reaches.is_empty(), |reach| reach.includes(&centre));
-        let n_required = if is_reached { self.config.min_inliers } else { self.n_beyond_doubt };
-        (n_inliers >= n_required).then_some(frame)
+        (n_inliers >= self.config.min_inliers).then_some(frame)
     }
 
     /// A pose from three matches that many others agree with; only those are kept.

@@ -1,0 +1,48 @@
+//! Which segments of a view point where a global primitive does: by the track a segment belongs to. They hold the
+//! attitude where landmarks are few or all in one spot. [ALGORITHMS 9.3; paper, "Global Structure Constraint"]
+
+use super::frame::TrackedFrame;
+use crate::map::{KeyframeId, Map, PrimitiveId};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Key frames, counted from the newest, whose vanishing points tell which track has which direction.
+const N_TRACK_KEYFRAMES: usize = 5;
+
+/// Which track of segments runs along which primitive.
+#[derive(Clone, Debug, Default)]
+pub(super) struct PrimitiveTracks {
+    primitives: BTreeMap<u64, PrimitiveId>,
+}
+
+impl PrimitiveTracks {
+    /// Takes over what mapping found out about the tracks of the newest key frames.
+    pub fn learn(&mut self, map: &Map) {
+        let mut newest: Vec<KeyframeId> = map.keyframes().map(|keyframe| keyframe.id).collect();
+        let newest = newest.split_off(newest.len().saturating_sub(N_TRACK_KEYFRAMES));
+        for keyframe in newest.iter().filter_map(|id| map.keyframe(*id)) {
+            for vanishing in &keyframe.vanishing {
+                let tracks =
+                    vanishing.segments.iter().map(|idx| keyframe.features.lines[*idx as usize].track);
+                match vanishing.primitive {
+                    Some(id) => self.primitives.extend(tracks.map(|track| (track, id))),
+                    None => tracks.for_each(|track| _ = self.primitives.remove(&track)),
+                }
+            }
+        }
+    }
+
+    /// Forgets the tracks that have ended.
+    pub fn remember(&mut self, frame: &TrackedFrame) {
+        let live: BTreeSet<u64> = frame.features.lines.iter().map(|segment| segment.track).collect();
+        self.primitives.retain(|track, _| live.contains(track));
+    }
+
+    /// Notes for each segment of a frame the primitive it runs along, if that is known and in the frame's submap.
+    pub fn associate(&self, frame: &mut TrackedFrame, map: &Map) {
+        let known = |track: u64| {
+            let primitive = map.primitive(*self.primitives.get(&track)?)?;
+            (primitive.submap == frame.submap).then_some(primitive.id)
+        };
+        frame.primitives = frame.features.lines.iter().map(|segment| known(segment.track)).collect();
+    }
+}
