@@ -2,6 +2,7 @@
 
 mod bad_frames;
 mod bad_requests;
+mod kidnap;
 mod maps;
 mod shutdown;
 mod storage;

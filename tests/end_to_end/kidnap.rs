@@ -1,0 +1,129 @@
+//! A camera that turns up elsewhere in a place known from a real recording, also after a restart of the server.
+//!
+//! Needs the sequence 7scenes_redkitchen (frames 0-599 walk through a kitchen, 600-999 come back to it) in
+//! `../shared/data`; without it the test says so and passes.
+
+use geometry::Similarity;
+use geometry::nalgebra::Vector3;
+use proto::v1;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use tests::{FrameStream, TestServer, create_session, open_message};
+
+/// Every second frame is sent: fifteen a second, half the work.
+const STEP: usize = 2;
+/// Frames of the first visit, in the recording's numbering.
+const N_FIRST_VISIT: usize = 600;
+/// Frames of the second visit within which the place must be found.
+const MAX_FRAMES_TO_FIND: usize = 10;
+/// Root mean square error of both visits together, metres; a false place would be off by a metre or more.
+const MAX_ERROR_M: f64 = 0.10;
+/// Largest error of a single frame, metres.
+const MAX_WORST_ERROR_M: f64 = 0.40;
+
+/// The recording: images and true positions in order.
+struct Recording {
+    images: Vec<PathBuf>,
+    positions: Vec<Vector3<f64>>,
+}
+
+impl Recording {
+    fn open() -> Option<Self> {
+        let folder =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/7scenes_redkitchen").canonicalize();
+        let Ok(folder) = folder else {
+            println!("skipped: ../shared/data/7scenes_redkitchen is absent");
+            return None;
+        };
+        let rows = |file: &str| -> Vec<Vec<String>> {
+            let text = std::fs::read_to_string(folder.join(file)).expect("a list of the recording");
+            let rows = text.lines().filter(|line| !line.starts_with('#'));
+            rows.map(|line| line.split_whitespace().map(str::to_owned).collect()).collect()
+        };
+        let images = rows("rgb.txt").iter().map(|row| folder.join(&row[1])).collect();
+        let number = |text: &String| text.parse::<f64>().expect("a number");
+        let positions = rows("groundtruth.txt")
+            .iter()
+            .map(|row| Vector3::new(number(&row[1]), number(&row[2]), number(&row[3])))
+            .collect();
+        Some(Self { images, positions })
+    }
+
+    fn frame(&self, sequence: u64, index: usize) -> v1::Frame {
+        let data = std::fs::read(&self.images[index]).expect("an image of the recording").into();
+        let image = v1::Image { data, ..v1::Image::default() };
+        v1::Frame { sequence, timestamp_ns: sequence as i64 * 66_666_667, image: Some(image) }
+    }
+}
+
+fn camera() -> v1::Camera {
+    let (fx, fy, cx, cy) = (585.0, 585.0, 320.0, 240.0);
+    v1::Camera { width: 640, height: 480, fx, fy, cx, cy, ..tests::camera(640, 480) }
+}
+
+/// Streams frames of the recording and returns the answers.
+async fn stream(server: &TestServer, recording: &Recording, frames: &[(u64, usize)]) -> Vec<v1::FrameResult> {
+    let mut client = server.client().await;
+    let mut stream = FrameStream::open(&mut client, open_message("kitchen")).await.unwrap();
+    let mut results = Vec::new();
+    for (sequence, index) in frames {
+        results.push(stream.track(recording.frame(*sequence, *index)).await.unwrap());
+    }
+    stream.finish().await.unwrap();
+    results
+}
+
+/// Error of each frame of the exported trajectory, metres, after alignment by a similarity.
+async fn errors(server: &TestServer, recording: &Recording, frames: &BTreeMap<u64, usize>) -> Vec<f64> {
+    let trajectory = server.get_json("/v1/sessions/kitchen/trajectory?format=json").await;
+    let poses = trajectory["poses"].as_array().expect("poses").clone();
+    let (mut estimate, mut truth) = (Vec::new(), Vec::new());
+    for pose in poses {
+        assert_eq!(pose["submap_id"], 0, "one frame of reference: {pose}");
+        let [x, y, z] = ["tx", "ty", "tz"].map(|axis| pose["world_from_camera"][axis].as_f64().unwrap());
+        estimate.push(Vector3::new(x, y, z));
+        truth.push(recording.positions[frames[&pose["sequence"].as_u64().unwrap()]]);
+    }
+    let aligned = Similarity::from_correspondences(&estimate, &truth, true).expect("a trajectory");
+    estimate.iter().zip(&truth).map(|(e, t)| (aligned.transform(e) - t).norm()).collect()
+}
+
+async fn kidnapped(restart: bool) {
+    let Some(recording) = Recording::open() else { return };
+    let first: Vec<usize> = (0..N_FIRST_VISIT).step_by(STEP).collect();
+    let second: Vec<usize> = (N_FIRST_VISIT..recording.images.len()).rev().step_by(STEP).collect();
+    let numbered: Vec<(u64, usize)> = (0u64..).zip(first.iter().chain(&second).copied()).collect();
+
+    let mut server = TestServer::start().await;
+    create_session(&mut server.client().await, "kitchen", camera()).await.unwrap();
+    stream(&server, &recording, &numbered[..first.len()]).await;
+    if restart {
+        server = server.restart().await;
+    }
+    let results = stream(&server, &recording, &numbered[first.len()..]).await;
+
+    let found = results.iter().position(|result| result.state() == v1::TrackingState::Tracked);
+    assert!(found.is_some_and(|found| found < MAX_FRAMES_TO_FIND), "found again at frame {found:?}");
+    let n_tracked = results.iter().filter(|result| result.state() == v1::TrackingState::Tracked).count();
+    assert!(n_tracked * 100 >= results.len() * 97, "{n_tracked} of {} frames were followed", results.len());
+    let errors = errors(&server, &recording, &numbered.iter().copied().collect()).await;
+    assert!(errors.len() * 100 >= numbered.len() * 97, "{} of {} frames", errors.len(), numbered.len());
+    let rms = (errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64).sqrt();
+    let worst = errors.iter().copied().fold(0.0, f64::max);
+    println!(
+        "found at frame {}, {n_tracked} of {} followed, error {rms:.3} m, worst {worst:.3} m",
+        found.unwrap_or_default(),
+        results.len()
+    );
+    assert!(rms <= MAX_ERROR_M && worst <= MAX_WORST_ERROR_M, "error {rms:.3} m, worst {worst:.3} m");
+}
+
+#[tokio::test]
+async fn a_camera_that_turns_up_elsewhere_is_found_at_once() {
+    kidnapped(false).await;
+}
+
+#[tokio::test]
+async fn a_camera_that_turns_up_after_a_restart_is_found_at_once() {
+    kidnapped(true).await;
+}
