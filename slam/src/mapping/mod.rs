@@ -173,10 +173,10 @@ impl Mapper {
         self.events.push(closed.event);
         self.lines.forget_missing(&self.map);
         self.recent_points.retain(|id| self.map.point(*id).is_some());
-        if closed.moved {
-            if let Some(result) = self.global.start(&self.map, closed.submap, &self.config) {
-                result.merge_into(&mut self.map);
-            }
+        let adjusted =
+            closed.moved.then(|| self.global.start(&self.map, closed.submap, &self.config)).flatten();
+        if let Some(result) = adjusted {
+            result.merge_into(&mut self.map);
         }
     }
 
