@@ -5,9 +5,10 @@
 //!
 //! Several seeds make a table as well.
 //!
-//! Rendering takes longer than tracking: `--images` keeps the images of this preset and seed for the next run.
+//! Rendering takes longer than tracking: `--images` keeps the images, one folder for each preset and seed, for the next
+//! run.
 //!
-//! Presets: room-rich, room-poor, corridor-straight, corridor-ring, four-rooms, atlanta, unstructured, look-alike.
+//! Presets: room-rich, room-poor, corridor-straight, corridor-ring, corridor-corners, four-rooms, atlanta, unstructured, look-alike.
 
 use geometry::nalgebra::{UnitQuaternion, Vector3};
 use geometry::{Pose, Similarity};
@@ -92,10 +93,11 @@ fn track(preset: Preset, seed: u64, arguments: &Arguments) -> Result<Row, Box<dy
     let clock = Arc::new(WallClock(Instant::now()));
     let mut pipeline = Pipeline::resume(config, sequence.camera().clone(), clock, ResumeState::default())?;
 
+    let images = value("--images").map(|folder| Path::new(folder).join(format!("{}-{seed}", preset.name())));
     let n_frames = value("--frames").map_or(Ok(sequence.len()), |n| n.parse())?.min(sequence.len());
     let mut run = Run::default();
     for index in 0..n_frames {
-        let image = image(&sequence, index, value("--images").map(Path::new))?;
+        let image = image(&sequence, index, images.as_deref())?;
         let frame = Frame { sequence: index as u64, timestamp_ns: sequence.timestamp_ns(index), image };
         let report = pipeline.process_frame(frame)?;
         if flag("--verbose") {
@@ -147,7 +149,8 @@ fn track(preset: Preset, seed: u64, arguments: &Arguments) -> Result<Row, Box<dy
 
 fn print_table(preset: Preset, seeds: &[u64], rows: &[Row]) {
     println!(
-        "\n| {preset:?}, seed | coverage | submaps | loops | mergers | ATE, % of the path | drift of the attitude, deg |"
+        "\n| {}, seed | coverage | submaps | loops | mergers | ATE, % of the path | drift of the attitude, deg |",
+        preset.name()
     );
     println!("| ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
     let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.3}"));

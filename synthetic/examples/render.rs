@@ -4,18 +4,21 @@
 //! cargo run --release -p synthetic --example render -- --preset room-rich --seed 1 --frames 10 --out DIR
 //! ```
 //! Then renders the frames twice more and reports the time; without `--out`, only that.
-//! `--step N` takes every N-th frame of the path, `--threads N` shares each frame between threads.
+//! `--step N` takes every N-th frame of the path, `--fps N` another number of frames a second, `--laps N` goes around N
+//! times where the path is closed, `--threads N` shares each frame between threads.
 
 use std::process::ExitCode;
 use std::time::Instant;
 
-use synthetic::{Preset, Sequence, SequenceConfig};
+use synthetic::{PathKind, Preset, Sequence, SequenceConfig};
 
 struct Arguments {
     preset: Preset,
     seed: u64,
     frames: Option<usize>,
     step: usize,
+    fps: Option<u64>,
+    laps: Option<u64>,
     threads: usize,
     out: Option<String>,
 }
@@ -26,13 +29,16 @@ fn main() -> ExitCode {
         Err(message) => {
             eprintln!("{message}");
             eprintln!(
-                "usage: render --preset NAME [--out DIR] [--seed N] [--frames N] [--step N] [--threads N]"
+                "usage: render --preset NAME [--out DIR] [--seed N] [--frames N] [--step N] [--fps N] [--laps N] [--threads N]"
             );
             return ExitCode::FAILURE;
         }
     };
     let mut config = SequenceConfig::preset(arguments.preset, arguments.seed);
-    config.fps /= arguments.step as f64;
+    config.fps = arguments.fps.map_or(config.fps, |fps| fps as f64) / arguments.step as f64;
+    if let (PathKind::Walk { laps: Some(laps), .. }, Some(wanted)) = (&mut config.path.kind, arguments.laps) {
+        *laps = wanted as f64;
+    }
     config.n_frames = arguments.frames;
     config.render.threads = arguments.threads;
     let sequence = Sequence::new(config).expect("the camera of the presets is valid");
@@ -55,7 +61,7 @@ fn main() -> ExitCode {
 fn parse(mut words: impl Iterator<Item = String>) -> Result<Arguments, String> {
     let mut preset = None;
     let mut out = None;
-    let (mut seed, mut frames, mut step, mut threads) = (1, None, 1, 1);
+    let (mut seed, mut frames, mut step, mut fps, mut laps, mut threads) = (1, None, 1, None, None, 1);
     while let Some(option) = words.next() {
         let value = words.next().ok_or_else(|| format!("{option} needs a value"))?;
         let number = || value.parse::<u64>().map_err(|error| format!("{option} {value}: {error}"));
@@ -65,10 +71,12 @@ fn parse(mut words: impl Iterator<Item = String>) -> Result<Arguments, String> {
             "--seed" => seed = number()?,
             "--frames" => frames = Some(number()? as usize),
             "--step" => step = number()?.max(1) as usize,
+            "--fps" => fps = Some(number()?.max(1)),
+            "--laps" => laps = Some(number()?.max(1)),
             "--threads" => threads = number()? as usize,
             _ => return Err(format!("unknown option {option}")),
         }
     }
     let preset = preset.ok_or("--preset is missing")?;
-    Ok(Arguments { preset, seed, frames, step, threads, out })
+    Ok(Arguments { preset, seed, frames, step, fps, laps, threads, out })
 }
