@@ -232,6 +232,8 @@ struct Run {
     n_merges: usize,
     cpu_ms: Vec<f64>,
     wall_ms: Vec<f64>,
+    /// Taking over the newest map, corrections among it.
+    adopt_ms: Vec<f64>,
 }
 
 impl Run {
@@ -246,6 +248,8 @@ impl Run {
         }
         self.cpu_ms.push(report.cpu_ns as f64 * 1e-6);
         self.wall_ms.push(report.wall_ns as f64 * 1e-6);
+        let adoption = report.stages.iter().filter(|stage| stage.name == "adopt");
+        self.adopt_ms.push(adoption.map(|stage| stage.wall_ns as f64 * 1e-6).sum());
     }
 
     fn store(&mut self, updates: Vec<slam::MapUpdate>) {
@@ -269,9 +273,10 @@ impl Run {
             map.submaps().iter().map(|submap| submap.0).collect::<Vec<_>>(),
         );
         println!(
-            "tracking thread: cpu ms {} wall ms {}",
+            "tracking thread: cpu ms {} wall ms {} of it taking over the map {}",
             summary(&mut self.cpu_ms),
-            summary(&mut self.wall_ms)
+            summary(&mut self.wall_ms),
+            summary(&mut self.adopt_ms)
         );
     }
 }
