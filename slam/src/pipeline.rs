@@ -496,8 +496,12 @@ impl Pipeline {
         else {
             return false;
         };
-        let is_good = matches!(verdict.outcome, TrackingOutcome::Tracked);
-        if !is_good || !self.tracker.wants_keyframe(frame, verdict.inliers, &self.map) {
+        let is_certain = match &verdict.outcome {
+            TrackingOutcome::Tracked => true,
+            TrackingOutcome::Weak { uncertainty, .. } => self.config.tracking.is_certain_enough(uncertainty),
+            _ => false,
+        };
+        if !is_certain || !self.tracker.wants_keyframe(frame, verdict.inliers, &self.map) {
             return false;
         }
         if !self.lossless && !self.mapping.is_idle() {

@@ -13,6 +13,7 @@ pub use primitives::PrimitiveConfig;
 pub use submaps::SubmapConfig;
 
 use crate::features::PyramidGeometry;
+use crate::report::PoseUncertainty;
 use geometry::Camera;
 use vision::OrbConfig;
 
@@ -201,11 +202,23 @@ pub struct TrackingConfig {
     /// Largest standard deviation of a good pose's position, as a share of the scene's median depth. Default 0.01;
     /// textured places reach 0.0004.
     pub max_position_sigma_share: f64,
+    /// How many times as uncertain as a good pose that of a key frame may be. Default 1.5: where a camera turns from a bare
+    /// wall to new texture, the pose is weak until there are landmarks, and there are none until there is a key frame.
+    pub keyframe_sigma_factor: f64,
     /// How many times as uncertain a weak pose may be; beyond it the camera is lost. Default 5.
     pub weak_sigma_factor: f64,
     /// For how long a camera that was lost is looked for where it was heading, nanoseconds. Default 0.5 s: then people
     /// have turned.
     pub max_coasting_ns: i64,
+}
+
+impl TrackingConfig {
+    /// Whether a pose is known well enough for a key frame.
+    pub(crate) fn is_certain_enough(&self, uncertainty: &PoseUncertainty) -> bool {
+        let factor = self.keyframe_sigma_factor;
+        uncertainty.rotation_rad <= factor * self.max_rotation_sigma_deg.to_radians()
+            && uncertainty.position_share <= factor * self.max_position_sigma_share
+    }
 }
 
 impl Default for TrackingConfig {
@@ -225,6 +238,7 @@ impl Default for TrackingConfig {
             plentiful_inliers: 60,
             max_rotation_sigma_deg: 0.4,
             max_position_sigma_share: 0.01,
+            keyframe_sigma_factor: 1.5,
             weak_sigma_factor: 5.0,
             max_coasting_ns: 500_000_000,
         }
