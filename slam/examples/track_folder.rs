@@ -5,36 +5,24 @@
 //! The dataset is a folder with `rgb.txt` and `calib.json`. Everything else (other layouts, the service, evaluation)
 //! is the business of `monoslam`.
 
-use geometry::{Camera, CameraModel, CameraParameters, Pose};
+mod common;
+
+use common::{Arguments, WallClock, summary, write_pose};
+use geometry::{Camera, CameraModel, CameraParameters};
 use slam::map::{FrameRecord, FrameState};
-use slam::{Clock, FeatureSwitches, Frame, Pipeline, ResumeState, SlamConfig, Threading};
+use slam::{FeatureSwitches, Frame, Pipeline, ResumeState, SlamConfig, Threading};
 use std::collections::BTreeMap;
 use std::error::Error;
-use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 use vision::decode::{DecodeLimits, EncodedImage, decode_gray};
 
-struct WallClock(Instant);
-
-impl Clock for WallClock {
-    fn wall_ns(&self) -> u64 {
-        self.0.elapsed().as_nanos() as u64
-    }
-
-    fn thread_cpu_ns(&self) -> u64 {
-        // schedstat: time on the CPU, time waiting, time slices; nanoseconds.
-        let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
-        text.split_whitespace().next().and_then(|word| word.parse().ok()).unwrap_or(0)
-    }
-}
-
 fn main() -> Result<(), Box<dyn Error>> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let flag = |name: &str| arguments.iter().any(|argument| argument == name);
-    let value = |name: &str| arguments.iter().position(|a| a == name).and_then(|at| arguments.get(at + 1));
-    let [dataset, out, ..] = arguments.as_slice() else {
+    let arguments = Arguments::read();
+    let flag = |name: &str| arguments.flag(name);
+    let value = |name: &str| arguments.value(name);
+    let [dataset, out, ..] = arguments.words() else {
         return Err("usage: track_folder DATASET OUT.txt".into());
     };
     let dataset = Path::new(dataset);
@@ -49,7 +37,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         ..SlamConfig::default()
     };
     let camera = read_camera(dataset)?;
-    let clock = Arc::new(WallClock(Instant::now()));
+    let clock = Arc::new(WallClock::start());
     let mut pipeline = Pipeline::resume(config, camera, clock, ResumeState::default())?;
 
     let mut records: BTreeMap<u64, FrameRecord> = BTreeMap::new();
@@ -103,7 +91,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let map = pipeline.map();
     let mut text = String::new();
     for keyframe in map.keyframes() {
-        write_pose(&mut text, keyframe.timestamp_ns, &keyframe.camera_from_world.inverse())?;
+        write_pose(&mut text, keyframe.timestamp_ns, &keyframe.camera_from_world.inverse());
     }
     std::fs::write(format!("{out}.keyframes"), text)?;
     let mut text = String::new();
@@ -111,7 +99,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for record in records.values() {
         let Some(pose) = record.pose else { continue };
         let Some((_, camera_from_world)) = map.locate(&pose) else { continue };
-        write_pose(&mut text, record.timestamp_ns, &camera_from_world.inverse())?;
+        write_pose(&mut text, record.timestamp_ns, &camera_from_world.inverse());
         n_posed += 1;
         n_backfilled += usize::from(record.backfilled);
         debug_assert!(record.state != FrameState::Lost);
@@ -136,19 +124,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     map.check()?;
     Ok(())
-}
-
-/// One line of a TUM trajectory.
-fn write_pose(text: &mut String, timestamp_ns: i64, world_from_camera: &Pose) -> std::fmt::Result {
-    let (t, q) = (world_from_camera.translation, world_from_camera.rotation.coords);
-    let (seconds, nanos) = (timestamp_ns / 1_000_000_000, timestamp_ns % 1_000_000_000);
-    writeln!(text, "{seconds}.{nanos:09} {} {} {} {} {} {} {}", t.x, t.y, t.z, q.x, q.y, q.z, q.w)
-}
-
-fn summary(values: &mut [f64]) -> String {
-    values.sort_by(f64::total_cmp);
-    let at = |share: f64| values.get((values.len() as f64 * share) as usize).copied().unwrap_or(0.0);
-    format!("median {:.2} p95 {:.2}", at(0.5), at(0.95))
 }
 
 fn read_frame_list(dataset: &Path) -> Result<Vec<(i64, String)>, Box<dyn Error>> {

@@ -1,0 +1,163 @@
+//! Runs the engine over a rendered sequence whose truth is known and prints how well it did.
+//!
+//! `cargo run --release -p slam --example track_synthetic -- PRESET SEED|FIRST..LAST [OPTION..]`
+//!
+//! | option | what it does |
+//! | --- | --- |
+//! | `--inline` | all stages in turn on one thread, the same each time |
+//! | `--frames N` | only the first N |
+//! | `--backwards` | from the last frame to the first: an error that turns round with the walk is the data's |
+//! | `--engine-seed N` | the engine's random numbers; otherwise the sequence's seed |
+//! | `--no-loops`, `--no-lines`, `--no-primitives` | switches features off |
+//! | `--compare-primitives` | runs every seed without and with primitives, and prints a table of both |
+//! | `--directions` | prints primitives and their segments against the truth |
+//! | `--spans` | prints what the stages of local bundle adjustment take |
+//! | `--verbose` | a line a frame |
+//! | `--out FILE` | the trajectory as a TUM file |
+//! | `--images FOLDER` | keeps the images, one folder for each preset and seed, as rendering takes longer than tracking |
+//!
+//! Several seeds make a table as well.
+//!
+//! Presets: room-rich, room-poor, corridor-straight, corridor-ring, corridor-corners, four-rooms, atlanta, unstructured, look-alike.
+
+#[path = "../common/mod.rs"]
+mod common;
+mod directions;
+mod places;
+mod recording;
+mod run;
+mod score;
+mod spans;
+mod table;
+
+use common::{Arguments, WallClock};
+use recording::Recording;
+use run::Run;
+use score::{Places, Score};
+use slam::{Frame, FrameReport, Pipeline, ResumeState, SlamConfig, Threading};
+use spans::SpanTimes;
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::path::Path;
+use std::sync::Arc;
+use synthetic::Preset;
+use table::Row;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments = Arguments::read();
+    let [preset, seeds, ..] = arguments.words() else {
+        return Err("usage: track_synthetic PRESET SEED|FIRST..LAST".into());
+    };
+    let preset: Preset = preset.parse()?;
+    let (first, last) = seeds.split_once("..").unwrap_or((seeds, seeds));
+    let seeds: Vec<u64> = (first.parse()?..=last.parse()?).collect();
+    let spans = Arc::new(SpanTimes::default());
+    if arguments.flag("--spans") {
+        tracing::subscriber::set_global_default(spans.clone())?;
+    }
+    let with_primitives = !arguments.flag("--no-primitives");
+    if arguments.flag("--compare-primitives") {
+        let pair = |seed: &u64| {
+            Ok([track(preset, *seed, false, &arguments)?, track(preset, *seed, true, &arguments)?])
+        };
+        let rows = seeds.iter().map(pair).collect::<Result<Vec<_>, Box<dyn Error>>>()?;
+        table::print_comparison(preset, &seeds, &rows);
+    } else {
+        let row = |seed: &u64| track(preset, *seed, with_primitives, &arguments);
+        let rows = seeds.iter().map(row).collect::<Result<Vec<_>, _>>()?;
+        if seeds.len() > 1 {
+            table::print_table(preset, &seeds, &rows);
+        }
+    }
+    if arguments.flag("--spans") {
+        spans.print();
+    }
+    Ok(())
+}
+
+fn track(
+    preset: Preset,
+    seed: u64,
+    with_primitives: bool,
+    arguments: &Arguments,
+) -> Result<Row, Box<dyn Error>> {
+    let flag = |name: &str| arguments.flag(name);
+    let value = |name: &str| arguments.value(name);
+    let folder = value("--images").map(Path::new);
+    let recording = Recording::new(preset, seed, folder, flag("--backwards"));
+    let engine_seed = value("--engine-seed").map_or(Ok(seed), |seed| seed.parse())?;
+    let mut config = SlamConfig { seed: engine_seed, ..SlamConfig::default() };
+    config.threading = if flag("--inline") { Threading::Inline } else { Threading::Background };
+    config.features.loop_closing = !flag("--no-loops");
+    config.features.lines = !flag("--no-lines");
+    config.features.global_primitives = with_primitives;
+    let clock = Arc::new(WallClock::start());
+    let mut pipeline = Pipeline::resume(config, recording.camera().clone(), clock, ResumeState::default())?;
+
+    let n_frames = value("--frames").map_or(Ok(recording.len()), |n| n.parse())?.min(recording.len());
+    let mut run = Run::default();
+    for index in 0..n_frames {
+        let timestamp_ns = recording.timestamp_ns(index);
+        let report = pipeline.process_frame(Frame {
+            sequence: index as u64,
+            timestamp_ns,
+            image: recording.image(index)?,
+        })?;
+        print_report(&report, index, &pipeline, &recording, flag("--verbose"));
+        run.note(&report);
+        run.store(pipeline.take_updates());
+    }
+    run.store(pipeline.finish());
+    let map = pipeline.map();
+    map.check()?;
+    let places = Places::of(&run.records, &map);
+    if let Some(out) = value("--out") {
+        std::fs::write(out, places.to_tum(&recording))?;
+    }
+    let (n_loops, n_merges) = (run.n_loops, run.n_merges);
+    run.print(&map);
+    places.print(&recording, n_frames);
+    if flag("--directions") {
+        directions::print_primitives(&map, &recording);
+        directions::print_segments(&map, &recording);
+    }
+    let largest = places.0.values().max_by_key(|places| places.len());
+    let score = largest.and_then(|places| Score::of(places, &recording));
+    Ok(Row {
+        coverage: largest.map_or(0, BTreeMap::len) as f64 / n_frames as f64,
+        n_submaps: places.0.len(),
+        n_loops,
+        n_merges,
+        ate_share: score.as_ref().map(|score| score.ate / score.path),
+        drift_deg: score.as_ref().map(|score| score.rotation_drift_deg),
+    })
+}
+
+fn print_report(
+    report: &FrameReport,
+    index: usize,
+    pipeline: &Pipeline,
+    recording: &Recording,
+    verbose: bool,
+) {
+    if verbose {
+        println!(
+            "{index} {:?} submap {} keypoints {} segments {} points {} lines {} keyframe {} {}",
+            report.outcome.state(),
+            report.submap,
+            report.n_keypoints,
+            report.n_segments,
+            report.n_inlier_points,
+            report.n_inlier_lines,
+            report.is_keyframe,
+            report.outcome.reason(),
+        );
+    }
+    for event in &report.map_events {
+        println!("frame {index}: {event:?}; {}", places::truth_of(event, &pipeline.map(), recording));
+    }
+    if report.relocalised {
+        let truth = places::truth_of_place(report, &pipeline.map(), recording, index);
+        println!("frame {index}: relocalised {truth}");
+    }
+}

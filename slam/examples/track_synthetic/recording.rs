@@ -1,0 +1,67 @@
+//! A rendered sequence whose images are kept for the next run, and which may be played backwards.
+
+use geometry::{Camera, Pose};
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use synthetic::{Preset, Sequence, World};
+use vision::GrayImage;
+
+pub struct Recording {
+    sequence: Sequence,
+    /// Where images are kept.
+    images: Option<PathBuf>,
+    backwards: bool,
+}
+
+impl Recording {
+    /// Images are kept in `folder`, in a folder of this preset and seed.
+    pub fn new(preset: Preset, seed: u64, folder: Option<&Path>, backwards: bool) -> Self {
+        let images = folder.map(|folder| folder.join(format!("{}-{seed}", preset.name())));
+        Self { sequence: Sequence::preset(preset, seed), images, backwards }
+    }
+
+    pub fn len(&self) -> usize {
+        self.sequence.len()
+    }
+
+    pub fn camera(&self) -> &Camera {
+        self.sequence.camera()
+    }
+
+    pub fn world(&self) -> &World {
+        self.sequence.world()
+    }
+
+    /// Of frame `index` as played.
+    pub fn timestamp_ns(&self, index: usize) -> i64 {
+        self.sequence.timestamp_ns(index)
+    }
+
+    /// Of frame `index` as played.
+    pub fn camera_from_world(&self, index: usize) -> Pose {
+        self.sequence.camera_from_world(self.rendered(index))
+    }
+
+    /// Renders frame `index` as played, or takes it from where it was kept.
+    pub fn image(&self, index: usize) -> Result<GrayImage, Box<dyn Error>> {
+        let index = self.rendered(index);
+        let (width, height) = (self.camera().width(), self.camera().height());
+        let kept = self.images.as_ref().map(|folder| folder.join(format!("{index:05}.gray")));
+        if let Some(pixels) = kept.as_ref().and_then(|path| std::fs::read(path).ok()) {
+            return GrayImage::from_raw(width, height, pixels).map_err(|error| error.to_string().into());
+        }
+        let pixels = self.sequence.frame(index).image.into_pixels();
+        if let (Some(folder), Some(path)) = (&self.images, kept) {
+            std::fs::create_dir_all(folder)?;
+            // Several runs may share the folder: a file of that name is always whole.
+            let partial = path.with_extension(std::process::id().to_string());
+            std::fs::write(&partial, &pixels)?;
+            std::fs::rename(&partial, path)?;
+        }
+        GrayImage::from_raw(width, height, pixels).map_err(|error| error.to_string().into())
+    }
+
+    fn rendered(&self, index: usize) -> usize {
+        if self.backwards { self.len() - 1 - index } else { index }
+    }
+}
