@@ -20,9 +20,9 @@ mod tracking;
 
 pub use clock::{Clock, NoClock};
 pub use config::{
-    ConfigError, ContinuityConfig, FeatureSwitches, InitialisationConfig, KeyframeConfig, LineConfig,
-    LoopConfig, MappingConfig, PrimitiveConfig, RelocalisationConfig, SlamConfig, SubmapConfig, Threading,
-    TrackingConfig,
+    AlignmentConfig, ConfigError, ContinuityConfig, FeatureSwitches, InitialisationConfig, KeyframeConfig,
+    LineConfig, LoopConfig, MappingConfig, PrimitiveConfig, RelocalisationConfig, SlamConfig, SubmapConfig,
+    Threading, TrackingConfig,
 };
 pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::{Frame, FrameError, Pipeline, ResumeError, ResumeState};

@@ -165,7 +165,7 @@ impl Pipeline {
                 reason: format!("the mapping thread cannot be started: {error}"),
             })?,
         };
-        let mut tracker = Tracker::new(config.clone());
+        let mut tracker = Tracker::new(config.clone(), config.working_camera(&camera));
         tracker.adopt(&map);
         let is_empty = map.n_keyframes() == 0;
         let mut pipeline = Self {
@@ -202,7 +202,7 @@ impl Pipeline {
         self.last_frame = Some((frame.sequence, frame.timestamp_ns));
         let mut stopwatch = Stopwatch::start(self.clock.clone());
 
-        let (view, line_statistics) = self.extract(&frame, &mut stopwatch);
+        let (view, line_statistics) = self.extract(frame, &mut stopwatch);
         self.adopt_map();
         stopwatch.lap("adopt");
         let mut verdict = self.track(&view);
@@ -278,12 +278,13 @@ impl Pipeline {
         Ok(())
     }
 
-    fn extract(&mut self, frame: &Frame, stopwatch: &mut Stopwatch) -> (View, LineTrackingStatistics) {
-        let image = self.front_end.working_image(&frame.image);
+    fn extract(&mut self, frame: Frame, stopwatch: &mut Stopwatch) -> (View, LineTrackingStatistics) {
+        let image = Arc::new(self.front_end.working_image(frame.image));
         let features = self.front_end.extract_points(&image);
         stopwatch.lap("points");
         let rotation = self.tracker.expected_rotation(frame.timestamp_ns);
         let (features, statistics) = self.front_end.extract_lines(&image, features, rotation);
+        self.tracker.see(image);
         stopwatch.lap("lines");
         let (sequence, timestamp_ns) = (frame.sequence, frame.timestamp_ns);
         (View { sequence, timestamp_ns, features: Arc::new(features) }, statistics)

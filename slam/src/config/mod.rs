@@ -1,11 +1,13 @@
 //! What a session runs with. Every field has a default, a unit and a reason.
 
+mod alignment;
 mod continuity;
 mod lines;
 mod loops;
 mod primitives;
 mod submaps;
 
+pub use alignment::AlignmentConfig;
 pub use continuity::ContinuityConfig;
 pub use lines::LineConfig;
 pub use loops::LoopConfig;
@@ -72,6 +74,8 @@ pub struct SlamConfig {
     pub lines: LineConfig,
     /// Directions shared by key frames.
     pub primitives: PrimitiveConfig,
+    /// Following the camera where features are lost.
+    pub alignment: AlignmentConfig,
     /// How far a lost camera can have gone.
     pub continuity: ContinuityConfig,
     /// Recognising places and correcting the map by them.
@@ -95,6 +99,7 @@ impl Default for SlamConfig {
             mapping: MappingConfig::default(),
             lines: LineConfig::default(),
             primitives: PrimitiveConfig::default(),
+            alignment: AlignmentConfig::default(),
             continuity: ContinuityConfig::default(),
             loops: LoopConfig::default(),
             submaps: SubmapConfig::default(),
@@ -434,7 +439,7 @@ impl SlamConfig {
                 "must not be negative, and submaps.search_interval at least 1",
             );
         }
-        Ok(())
+        self.alignment.validate()
     }
 
     /// The camera the engine works with: the session's, scaled down where its images are wider than the working width.

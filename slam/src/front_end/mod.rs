@@ -7,7 +7,6 @@ use crate::features::FrameFeatures;
 use geometry::Camera;
 use geometry::nalgebra::UnitQuaternion;
 use lines::LineFrontEnd;
-use std::borrow::Cow;
 use vision::lines::LineTrackingStatistics;
 use vision::{GrayImage, OrbExtractor, scale};
 
@@ -37,12 +36,12 @@ impl FrontEnd {
     }
 
     /// The image at the size the features are looked for in.
-    pub fn working_image<'a>(&self, image: &'a GrayImage) -> Cow<'a, GrayImage> {
+    pub fn working_image(&self, image: GrayImage) -> GrayImage {
         let (width, height) = (self.camera.width(), self.camera.height());
         if (image.width(), image.height()) == (width, height) {
-            return Cow::Borrowed(image);
+            return image;
         }
-        Cow::Owned(scale::resize_area(image, width, height))
+        scale::resize_area(&image, width, height)
     }
 
     /// The keypoints of an image of the working size.

@@ -3,7 +3,11 @@
 use crate::features::FrameFeatures;
 use crate::map::{FramePose, Keyframe, KeyframeId, LineId, Map, PointId, PrimitiveId, SubmapId};
 use geometry::Pose;
+use geometry::nalgebra::Vector3;
 use std::sync::Arc;
+
+/// Samples of a line where positions stand for it.
+const N_LINE_SAMPLES: usize = 5;
 
 /// Landmarks that agree with a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -65,6 +69,18 @@ impl TrackedFrame {
     /// The frame's place in the trajectory, relative to its reference key frame as it stands in `map`.
     pub fn pose_in(&self, map: &Map) -> Option<FramePose> {
         map.place_beside(self.reference, &self.camera_from_world)
+    }
+
+    /// Where what the frame sees is, in its camera's frame: points, and samples along lines.
+    pub fn landmark_positions(&self, map: &Map) -> Vec<Vector3<f64>> {
+        let points = self.points.iter().flatten().filter_map(|id| map.point(*id)).map(|point| point.position);
+        let lines = self.lines.iter().flatten().filter_map(|id| map.line(*id));
+        let samples = lines.flat_map(|line| {
+            let [start, end] = line.endpoints;
+            let share = |i: usize| (i as f64 + 0.5) / N_LINE_SAMPLES as f64;
+            (0..N_LINE_SAMPLES).map(move |i| start + (end - start) * share(i))
+        });
+        points.chain(samples).map(|position| self.camera_from_world.transform(&position)).collect()
     }
 
     /// Makes the frame a key frame with the given identity.

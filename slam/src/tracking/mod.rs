@@ -1,5 +1,6 @@
 //! Following the camera: motion model, reference key frame or relocalisation, then the local map.
 
+mod alignment;
 pub(crate) mod frame;
 mod keyframe_policy;
 pub(crate) mod lines;
@@ -18,9 +19,10 @@ use crate::continuity::Reach;
 use crate::features::FrameFeatures;
 use crate::map::{FramePose, KeyframeId, Map, SubmapId};
 use crate::report::{LostReason, TrackingOutcome};
+use alignment::Aligner;
 use frame::{Inliers, TrackedFrame};
-use geometry::Pose;
 use geometry::nalgebra::UnitQuaternion;
+use geometry::{Camera, Pose};
 use keyframe_policy::LastKeyframe;
 use lines::LineTracks;
 use local_map::LocalMap;
@@ -28,6 +30,7 @@ use relocalisation::Relocaliser;
 use search::{Expected, match_keyframe, search_by_motion};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use vision::GrayImage;
 
 /// A gap in time longer than this many frame intervals is not bridged by the motion model: half a second of video.
 const MAX_EXTRAPOLATION: f64 = 15.0;
@@ -55,6 +58,10 @@ pub(crate) struct Tracker {
     local_map: LocalMap,
     line_tracks: LineTracks,
     primitive_tracks: PrimitiveTracks,
+    /// Absent where there are no images.
+    aligner: Option<Aligner>,
+    /// The image of the frame to be tracked.
+    image: Option<Arc<GrayImage>>,
     /// Absent where a lost camera is not to be looked for.
     relocaliser: Option<Relocaliser>,
     /// How often points were seen since the last key frame.
@@ -83,6 +90,7 @@ struct LastSeen {
 /// The frame before, as the motion model needs it.
 struct LastFrame {
     frame: TrackedFrame,
+    image: Option<Arc<GrayImage>>,
     place: FramePose,
     /// The [unit](crate::map::Keyframe::unit) of the reference key frame when the motion was measured.
     unit: f64,
@@ -91,10 +99,11 @@ struct LastFrame {
 }
 
 impl Tracker {
-    /// A tracker that looks for a lost camera in the whole map.
-    pub fn new(config: SlamConfig) -> Self {
+    /// A tracker that looks for a lost camera in the whole map. `working_camera` is that of the images it [sees](Self::see).
+    pub fn new(config: SlamConfig, working_camera: Camera) -> Self {
         let relocaliser = Relocaliser::new(&config);
-        Self { relocaliser: Some(relocaliser), ..Self::follower(config) }
+        let aligner = Aligner::new(working_camera, config.alignment.clone());
+        Self { relocaliser: Some(relocaliser), aligner: Some(aligner), ..Self::follower(config) }
     }
 
     /// A tracker that only follows: once lost it stays lost.
@@ -104,6 +113,8 @@ impl Tracker {
             local_map: LocalMap::default(),
             line_tracks: LineTracks::default(),
             primitive_tracks: PrimitiveTracks::default(),
+            aligner: None,
+            image: None,
             relocaliser: None,
             sightings: Sightings::default(),
             last: None,
@@ -112,6 +123,11 @@ impl Tracker {
             last_timestamp_ns: None,
             last_seen: BTreeMap::new(),
         }
+    }
+
+    /// Takes the image of the frame that is tracked next.
+    pub fn see(&mut self, image: Arc<GrayImage>) {
+        self.image = Some(image);
     }
 
     /// Starts following from a frame whose pose is known.
@@ -325,19 +341,48 @@ impl Tracker {
         {
             return by_motion.map(|(frame, _)| frame);
         }
-        let by_reference = self.follow_reference(last, frame, map);
-        let best = by_motion.into_iter().chain(by_reference).max_by_key(|(_, n_inliers)| *n_inliers)?;
-        Some(best.0)
+        let by_reference = self.follow_reference(last, frame.clone(), map);
+        let enough = |(_, n_inliers): &(_, usize)| *n_inliers >= self.config.tracking.min_motion_matches;
+        let is_enough = by_reference.as_ref().is_some_and(enough);
+        let by_image = if is_enough { None } else { self.follow_image(last, frame, map) };
+        let found = [by_motion, by_reference, by_image];
+        found.into_iter().flatten().max_by_key(|(_, n_inliers)| *n_inliers).map(|(frame, _)| frame)
+    }
+
+    /// Points of the last frame, looked for where the images show that the camera moved.
+    fn follow_image(
+        &self,
+        last: &LastFrame,
+        mut frame: TrackedFrame,
+        map: &Map,
+    ) -> Option<(TrackedFrame, usize)> {
+        let (before, now) = (last.image.as_ref()?, self.image.as_ref()?);
+        let last_from_world = last.frame.camera_from_world;
+        let expected = frame.camera_from_world * last_from_world.inverse();
+        let positions = last.frame.landmark_positions(map);
+        let now_from_last = self.aligner.as_ref()?.align(before, now, &positions, &expected)?;
+        frame.camera_from_world = now_from_last * last_from_world;
+        self.follow_prediction(last, frame, map)
     }
 
     /// Points of the last frame, projected to where the motion so far would take them. Returns how many agree.
     fn follow_motion(
         &self,
         last: &LastFrame,
-        mut frame: TrackedFrame,
+        frame: TrackedFrame,
         map: &Map,
     ) -> Option<(TrackedFrame, usize)> {
         last.motion.as_ref()?;
+        self.follow_prediction(last, frame, map)
+    }
+
+    /// Landmarks of the last frame, looked for where the frame's pose so far puts them. Returns how many agree.
+    fn follow_prediction(
+        &self,
+        last: &LastFrame,
+        mut frame: TrackedFrame,
+        map: &Map,
+    ) -> Option<(TrackedFrame, usize)> {
         let config = &self.config.tracking;
         let expected = || {
             last.frame.points.iter().enumerate().filter_map(|(idx, id)| {
@@ -443,7 +488,8 @@ impl Tracker {
 
     fn remember(&mut self, frame: TrackedFrame, map: &Map, motion: Option<(Pose, i64)>) {
         let unit = map.anchor_of(frame.reference).map_or(1.0, |anchor| anchor.unit);
-        self.last = frame.pose_in(map).map(|place| LastFrame { frame, place, unit, motion });
+        let image = self.image.clone();
+        self.last = frame.pose_in(map).map(|place| LastFrame { frame, image, place, unit, motion });
     }
 
     /// Whether the frame before had no pose.
