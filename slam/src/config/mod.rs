@@ -297,6 +297,9 @@ pub struct KeyframeConfig {
     pub urgent_tracked_share: f64,
     /// That smaller way, as a share of the image's width. Default 0.015.
     pub urgent_displacement: f64,
+    /// After this way a frame is kept however much of the map it finds, as a share of the image's width. Default 0.1: points
+    /// that two key frames have made are known well once a third sees them from elsewhere.
+    pub ample_displacement: f64,
     /// The same share once `max_interval_ns` have gone by. Default 0.97: a slow camera still refreshes the map.
     pub max_tracked_share_after_wait: f64,
     /// With fewer points than this found, segments ask for key frames too. Default 100: a pose hangs on them then.
@@ -322,6 +325,7 @@ impl Default for KeyframeConfig {
             min_displacement: 0.025,
             urgent_tracked_share: 0.6,
             urgent_displacement: 0.015,
+            ample_displacement: 0.1,
             plentiful_points: 100,
             min_followed_segments: 6,
             risen_segments_share: 1.3,

@@ -81,7 +81,8 @@ pub(super) fn wants_keyframe(
     if displacement > config.min_displacement && lines_are_needed(config, frame, inliers, last) {
         return true;
     }
-    share < config.max_tracked_share && displacement > config.min_displacement
+    displacement > config.ample_displacement
+        || share < config.max_tracked_share && displacement > config.min_displacement
         || share < config.urgent_tracked_share && displacement > config.urgent_displacement
 }
 
