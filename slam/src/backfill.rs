@@ -5,7 +5,7 @@
 //! present frame, one kept frame per new frame, so that no frame takes much longer than another. What lies between two
 //! submaps and is reached from neither is kept on, and followed from both sides once the two have been merged.
 
-use crate::config::SlamConfig;
+use crate::config::{InitialisationConfig, SlamConfig};
 use crate::initialisation::View;
 use crate::map::{FramePose, FrameRecord, FrameState, Map};
 use crate::mapping::median_depth;
@@ -164,7 +164,7 @@ impl Backfill {
     fn way_back(&mut self, map: &Map, force: bool) -> Option<Way> {
         let start = self.start.as_ref()?;
         let is_full = self.waiting.len() >= self.config.initialisation.max_backfill_views;
-        self.is_mature |= is_mature(map, &start.frame, self.config.initialisation.mature_baseline_share);
+        self.is_mature |= is_mature(map, &start.frame, &self.config.initialisation);
         if !(self.is_mature || is_full || force) {
             return None;
         }
@@ -269,15 +269,20 @@ impl Way {
     }
 }
 
-/// Whether the key frames of the frame's submap are spread widely enough for its depths to be known well.
-fn is_mature(map: &Map, frame: &TrackedFrame, min_baseline_share: f64) -> bool {
-    let in_submap = || map.keyframes().filter(|keyframe| keyframe.submap == frame.submap);
+/// Whether the key frames of the frame's submap are many enough, and spread widely enough, for its depths to be known
+/// well.
+fn is_mature(map: &Map, frame: &TrackedFrame, config: &InitialisationConfig) -> bool {
+    let in_submap = || map.keyframes_of(frame.submap);
+    if in_submap().take(config.mature_keyframes).count() < config.mature_keyframes {
+        return false;
+    }
     let Some(origin) = in_submap().next() else { return false };
     let Some(median_depth) = map.keyframe(frame.reference).and_then(|reference| median_depth(map, reference))
     else {
         return false;
     };
     let origin = origin.camera_from_world.centre();
-    in_submap()
-        .any(|other| (other.camera_from_world.centre() - origin).norm() >= min_baseline_share * median_depth)
+    in_submap().any(|other| {
+        (other.camera_from_world.centre() - origin).norm() >= config.mature_baseline_share * median_depth
+    })
 }

@@ -119,8 +119,11 @@ pub struct InitialisationConfig {
     /// Frames that are kept to be placed once the map is good enough. Default 150: five seconds of video, 25 MB.
     pub max_backfill_views: usize,
     /// Width of the key frames' positions as a share of the scene's median depth from which a map is good enough to
-    /// place older frames in, and those that were tracked in it while it was younger once more. Default 0.15.
+    /// place older frames in, and those that were tracked in it while it was younger once more. Default 0.3: a map begun on few points
+    /// believes to be wider than it is.
     pub mature_baseline_share: f64,
+    /// Key frames it must have as well. Default 5: how wide two views lie apart is known no better than their depths.
+    pub mature_keyframes: usize,
     /// Pairs tried per frame: the widest usable baseline and shorter ones. Default 2, to bound the time.
     pub max_attempts_per_frame: usize,
     /// Side of the square a keypoint is looked for in is twice this, pixels at 640 wide. Default 100.
@@ -154,7 +157,8 @@ impl Default for InitialisationConfig {
             min_keypoints: 100,
             max_reference_views: 30,
             max_backfill_views: 150,
-            mature_baseline_share: 0.15,
+            mature_baseline_share: 0.3,
+            mature_keyframes: 5,
             max_attempts_per_frame: 2,
             search_radius_px: 100.0,
             min_matches: 80,
