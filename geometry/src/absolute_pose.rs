@@ -1,6 +1,6 @@
 //! The pose of a camera that sees known points.
 
-use nalgebra::{Matrix2x3, Matrix3, Matrix6, Vector3, Vector6};
+use nalgebra::{Matrix2x3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 use rand::Rng;
 
 use crate::ransac::{Estimator, RansacConfig, RansacReport, ransac};
@@ -238,6 +238,69 @@ pub fn ransac_pose(
         return None;
     }
     ransac(&PoseEstimator { observations }, config, rng).filter(|report| report.n_inliers >= 4)
+}
+
+/// As [`ransac_pose`], where the rotation is known to be one of a few: two observations then give the position, so that
+/// a good sample is found among fewer and worse observations.
+///
+/// The rotation is refined with the rest in the end. `None` with fewer than four observations, or if no pose explains
+/// four.
+pub fn ransac_pose_with_rotations(
+    observations: &[PoseObservation],
+    rotations: &[UnitQuaternion<f64>],
+    config: &RansacConfig,
+    rng: &mut impl Rng,
+) -> Option<RansacReport<Pose>> {
+    if observations.len() < 4 {
+        return None;
+    }
+    let estimator = PositionEstimator { all: PoseEstimator { observations }, rotations };
+    ransac(&estimator, config, rng).filter(|report| report.n_inliers >= 4)
+}
+
+struct PositionEstimator<'a> {
+    all: PoseEstimator<'a>,
+    rotations: &'a [UnitQuaternion<f64>],
+}
+
+impl Estimator for PositionEstimator<'_> {
+    type Model = Pose;
+
+    fn sample_size(&self) -> usize {
+        2
+    }
+
+    fn n_data(&self) -> usize {
+        self.all.n_data()
+    }
+
+    fn fit_sample(&self, sample: &[usize], models: &mut Vec<Pose>) {
+        let sample = [&self.all.observations[sample[0]], &self.all.observations[sample[1]]];
+        models.extend(self.rotations.iter().filter_map(|rotation| pose_with_rotation(rotation, sample)));
+    }
+
+    #[inline]
+    fn squared_residual(&self, model: &Pose, datum: usize) -> f64 {
+        self.all.squared_residual(model, datum)
+    }
+
+    fn refine(&self, model: &Pose, inliers: &[usize]) -> Option<Pose> {
+        self.all.refine(model, inliers)
+    }
+}
+
+/// The position from which two points are nearest to the rays they are seen along, both in front of the camera.
+fn pose_with_rotation(rotation: &UnitQuaternion<f64>, sample: [&PoseObservation; 2]) -> Option<Pose> {
+    // What is left of the point in the camera frame across the ray is to vanish: (I - b b^T) (R X + t) = 0.
+    let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+    for observation in sample {
+        let across = Matrix3::identity() - observation.bearing * observation.bearing.transpose();
+        normal += across;
+        right -= across * (rotation * observation.point);
+    }
+    let pose = Pose { rotation: *rotation, translation: normal.try_inverse()? * right };
+    let is_in_front = |seen: &&PoseObservation| pose.transform(&seen.point).dot(&seen.bearing) > 0.0;
+    (pose.is_finite() && sample.iter().all(is_in_front)).then_some(pose)
 }
 
 struct PoseEstimator<'a> {

@@ -2,7 +2,7 @@
 
 mod support;
 
-use geometry::absolute_pose::{PoseObservation, p3p, ransac_pose, refine_pose};
+use geometry::absolute_pose::{PoseObservation, p3p, ransac_pose, ransac_pose_with_rotations, refine_pose};
 use geometry::nalgebra::{Matrix3, Vector2, Vector3};
 use geometry::ransac::{Estimator, RansacConfig, ransac};
 use geometry::two_view::{
@@ -323,6 +323,30 @@ fn pose_is_found_among_half_outliers_and_the_same_seed_gives_the_same_result() {
         assert!(report.iterations < 150, "seed {seed}: {} samples, no adaptive stop", report.iterations);
         assert!(report.score > 0.0 && report.score <= report.n_inliers as f64);
     }
+}
+
+#[test]
+fn a_known_rotation_finds_the_pose_among_few_and_bad_observations() {
+    let (mut n_found, mut n_found_without) = (0, 0);
+    for (seed, mut rng) in generators("ransac_pose_with_rotations", 50) {
+        // Seven true ones and twenty-one false.
+        let (truth, mut observations) = observations_with_outliers(&mut rng, 42);
+        observations.truncate(28);
+        // The true rotation to within half a degree, and others.
+        let mut rotations: Vec<_> = (0..7).map(|_| support::pose(&mut rng, 3.1, 1.0).rotation).collect();
+        rotations.push(truth.retract(&uniform(&mut rng, 0.005)).rotation);
+        let config = RansacConfig { max_iterations: 300, ..RansacConfig::default() };
+        let is_found = |pose: &Pose| (truth.centre() - pose.centre()).norm() < 0.1;
+        let mut draw = ChaCha8Rng::seed_from_u64(seed);
+        let found = ransac_pose_with_rotations(&observations, &rotations, &config, &mut draw);
+        n_found += usize::from(found.is_some_and(|report| is_found(&report.model)));
+        let found = ransac_pose(&observations, &config, &mut draw);
+        n_found_without += usize::from(found.is_some_and(|report| is_found(&report.model)));
+        assert!(ransac_pose_with_rotations(&observations, &[], &config, &mut draw).is_none());
+        assert!(ransac_pose_with_rotations(&observations[..3], &rotations, &config, &mut draw).is_none());
+    }
+    println!("7 of 28 observations true: {n_found} of 50 poses found, {n_found_without} by three points");
+    assert!(n_found >= 45 && n_found > n_found_without, "{n_found} of 50, {n_found_without} by three points");
 }
 
 #[test]

@@ -17,6 +17,7 @@ pub mod pipeline;
 mod places;
 pub mod report;
 mod tracking;
+mod vanishing;
 
 pub use clock::{Clock, NoClock};
 pub use config::{

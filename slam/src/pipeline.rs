@@ -165,7 +165,7 @@ impl Pipeline {
                 reason: format!("the mapping thread cannot be started: {error}"),
             })?,
         };
-        let mut tracker = Tracker::new(config.clone(), config.working_camera(&camera));
+        let mut tracker = Tracker::new(config.clone(), config.working_camera(&camera))?;
         tracker.adopt(&map);
         let is_empty = map.n_keyframes() == 0;
         let mut pipeline = Self {

@@ -12,6 +12,7 @@
 //! | `--compare-primitives` | runs every seed without and with primitives, and prints a table of both |
 //! | `--directions` | prints primitives and their segments against the truth |
 //! | `--spans` | prints what the stages of local bundle adjustment take |
+//! | `--relocalise CONTRAST` | then looks for single frames of that contrast in the map |
 //! | `--verbose` | a line a frame |
 //! | `--out FILE` | the trajectory as a TUM file |
 //! | `--images FOLDER` | keeps the images, one folder for each preset and seed, as rendering takes longer than tracking |
@@ -25,6 +26,7 @@ mod common;
 mod directions;
 mod places;
 mod recording;
+mod relocalise;
 mod run;
 mod score;
 mod spans;
@@ -92,7 +94,8 @@ fn track(
     config.features.lines = !flag("--no-lines");
     config.features.global_primitives = with_primitives;
     let clock = Arc::new(WallClock::start());
-    let mut pipeline = Pipeline::resume(config, recording.camera().clone(), clock, ResumeState::default())?;
+    let mut pipeline =
+        Pipeline::resume(config.clone(), recording.camera().clone(), clock, ResumeState::default())?;
 
     let n_frames = value("--frames").map_or(Ok(recording.len()), |n| n.parse())?.min(recording.len());
     let mut run = Run::default();
@@ -120,6 +123,9 @@ fn track(
     if flag("--directions") {
         directions::print_primitives(&map, &recording);
         directions::print_segments(&map, &recording);
+    }
+    if let Some(contrast) = value("--relocalise") {
+        relocalise::print_relocalised(&map, &recording, &config, contrast.parse()?)?;
     }
     let largest = places.0.values().max_by_key(|places| places.len());
     let score = largest.and_then(|places| Score::of(places, &recording));

@@ -14,7 +14,7 @@ pub(crate) use local_map::Sightings;
 use pose::{Placement, place_frame};
 use primitives::PrimitiveTracks;
 
-use crate::config::{ContinuityConfig, SlamConfig, TrackingConfig};
+use crate::config::{ConfigError, ContinuityConfig, SlamConfig, TrackingConfig};
 use crate::continuity::Reach;
 use crate::features::FrameFeatures;
 use crate::map::{FramePose, KeyframeId, Map, SubmapId};
@@ -100,10 +100,13 @@ struct LastFrame {
 
 impl Tracker {
     /// A tracker that looks for a lost camera in the whole map. `working_camera` is that of the images it [sees](Self::see).
-    pub fn new(config: SlamConfig, working_camera: Camera) -> Self {
-        let relocaliser = Relocaliser::new(&config);
+    ///
+    /// # Errors
+    /// If the configuration of the search for vanishing points cannot be used.
+    pub fn new(config: SlamConfig, working_camera: Camera) -> Result<Self, ConfigError> {
+        let relocaliser = Relocaliser::new(&config)?;
         let aligner = Aligner::new(working_camera, config.alignment.clone());
-        Self { relocaliser: Some(relocaliser), aligner: Some(aligner), ..Self::follower(config) }
+        Ok(Self { relocaliser: Some(relocaliser), aligner: Some(aligner), ..Self::follower(config) })
     }
 
     /// A tracker that only follows: once lost it stays lost.
@@ -279,7 +282,7 @@ impl Tracker {
         for candidate in candidates {
             let found = map
                 .keyframe(candidate)
-                .and_then(|keyframe| self.relocaliser.as_mut()?.try_place(blank.clone(), keyframe, map));
+                .and_then(|keyframe| self.relocaliser.as_mut()?.try_place(blank, keyframe, map));
             let Some(mut frame) = found else { continue };
             let before = (self.n_since_relocalisation.replace(0), self.sightings.clone());
             let (placement, n_expected) = self.track_local_map(&mut frame, map);
@@ -301,16 +304,14 @@ impl Tracker {
         n_expected: usize,
         reaches: &[Reach],
     ) -> bool {
-        let share = inliers.total() as f64 / n_expected.max(1) as f64;
         // A camera seen a moment ago in another submap is at a place of this one that nothing is known of.
         let reach = reaches.iter().find(|reach| reach.submap == frame.submap);
         let centre = frame.camera_from_world.centre();
         if reach.map_or(reaches.is_empty(), |reach| reach.includes(&centre)) {
-            let relocalisation = &self.config.relocalisation;
-            let n_required = relocalisation.min_found_share * n_expected as f64;
-            return inliers.total() as f64 >= n_required.min(relocalisation.plentiful_inliers as f64);
+            return self.config.relocalisation.is_enough(inliers.total(), n_expected);
         }
         let continuity = &self.config.continuity;
+        let share = inliers.total() as f64 / n_expected.max(1) as f64;
         inliers.total() >= continuity.n_beyond_doubt && share >= continuity.share_beyond_doubt
     }
 

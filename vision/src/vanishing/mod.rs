@@ -43,4 +43,4 @@ mod tests;
 pub use config::{VanishingConfig, VanishingConfigError};
 pub use estimator::{VanishingEstimator, VanishingPoint, VanishingPoints};
 pub use plane::SegmentPlane;
-pub use rotation::{DirectionPair, rotation_from_directions};
+pub use rotation::{DirectionPair, rotation_from_directions, rotation_hypotheses};

@@ -55,9 +55,79 @@ pub fn rotation_from_directions(
     rotation.coords.iter().all(|x| x.is_finite()).then_some(rotation)
 }
 
+/// Every rotation `camera_from_world` under which two directions of the world are where two seen ones are, to within
+/// `tolerance` radians in the angle between them. Rotations nearer than that to one found before are left out, and so is
+/// what exceeds `max_rotations`.
+///
+/// For where nothing is predicted: three directions at right angles can be told apart in 24 ways. [ALGORITHMS 4.3, 7.6]
+pub fn rotation_hypotheses(
+    in_world: &[Vector3<f64>],
+    in_camera: &[Vector3<f64>],
+    tolerance: f64,
+    max_rotations: usize,
+) -> Vec<UnitQuaternion<f64>> {
+    let known: Vec<Vector3<f64>> = in_world.iter().filter_map(unit).collect();
+    let seen: Vec<Vector3<f64>> = in_camera.iter().filter_map(unit).collect();
+    let mut rotations: Vec<UnitQuaternion<f64>> = Vec::new();
+    for [a, b] in pairs(&seen) {
+        for [first, second] in pairs(&known).flat_map(|[first, second]| [[first, second], [second, first]]) {
+            for (first, second) in [(first, second), (first, -second), (-first, second), (-first, -second)] {
+                let Some(rotation) = rotation_between([&first, &second], [&a, &b], tolerance) else {
+                    continue;
+                };
+                let is_new = rotations.iter().all(|other| other.angle_to(&rotation) > tolerance);
+                if is_new && rotations.len() < max_rotations {
+                    rotations.push(rotation);
+                }
+            }
+        }
+    }
+    rotations
+}
+
+/// Those far enough from parallel, in the order given.
+fn pairs(directions: &[Vector3<f64>]) -> impl Iterator<Item = [Vector3<f64>; 2]> {
+    let later = |i: usize| directions[i + 1..].iter();
+    let all = directions.iter().enumerate().flat_map(move |(i, a)| later(i).map(move |b| [*a, *b]));
+    all.filter(|[a, b]| a.cross(b).norm() >= MIN_SIN_BETWEEN)
+}
+
+/// The rotation that turns one pair of directions best into another, if the angle between them is the same.
+fn rotation_between(
+    known: [&Vector3<f64>; 2],
+    seen: [&Vector3<f64>; 2],
+    tolerance: f64,
+) -> Option<UnitQuaternion<f64>> {
+    if (known[0].angle(known[1]) - seen[0].angle(seen[1])).abs() > tolerance {
+        return None;
+    }
+    let frame = |[a, b]: [&Vector3<f64>; 2]| {
+        let (along, across) = ((a + b).normalize(), (a - b).normalize());
+        Matrix3::from_columns(&[along, across, along.cross(&across)])
+    };
+    let rotation = Rotation3::from_matrix_unchecked(frame(seen) * frame(known).transpose());
+    Some(UnitQuaternion::from_rotation_matrix(&rotation))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn hypotheses_hold_the_truth() {
+        let truth = UnitQuaternion::from_euler_angles(0.4, -1.1, 2.5);
+        let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
+        let seen = axes.map(|axis| truth * -axis);
+        let rotations = rotation_hypotheses(&axes, &seen, 0.05, 100);
+        assert_eq!(rotations.len(), 24);
+        assert!(rotations.iter().any(|rotation| rotation.angle_to(&truth) < 1e-9));
+        // Directions 40 degrees apart are no two of these.
+        let askew = [Vector3::x(), UnitQuaternion::from_euler_angles(0.0, 0.7, 0.0) * Vector3::x()];
+        assert!(rotation_hypotheses(&axes, &askew, 0.05, 100).is_empty());
+        assert_eq!(rotation_hypotheses(&axes, &seen, 0.05, 7).len(), 7);
+        assert!(rotation_hypotheses(&axes, &seen[..1], 0.05, 100).is_empty());
+        assert!(rotation_hypotheses(&[Vector3::zeros(), Vector3::x()], &seen, 0.05, 100).is_empty());
+    }
 
     fn pair(in_world: Vector3<f64>, in_camera: Vector3<f64>) -> DirectionPair {
         DirectionPair { in_world, in_camera, weight: 2.0 }

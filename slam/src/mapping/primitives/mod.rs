@@ -4,13 +4,12 @@
 mod association;
 mod estimate;
 mod upkeep;
-mod vanishing;
 
 pub(crate) use estimate::{DirectionEstimate, estimate_direction};
 
 use crate::config::{ConfigError, SlamConfig};
 use crate::map::{KeyframeId, Map};
-use vanishing::VanishingFinder;
+use crate::vanishing::VanishingFinder;
 
 /// Finds vanishing points in key frames and makes and tends the primitives of a map.
 pub(super) struct PrimitiveMapper {
@@ -27,11 +26,21 @@ impl PrimitiveMapper {
     /// Takes in the segments of a key frame that is in the map: finds its vanishing points, says which primitives they
     /// are, makes new ones of those that enough key frames share, joins and retires.
     pub fn extend(&mut self, map: &mut Map, id: KeyframeId, config: &SlamConfig) {
-        self.finder.find(map, id);
+        self.find(map, id);
         association::associate(map, id, &config.primitives);
         association::create(map, id, &config.primitives);
         upkeep::merge(map, id, &config.primitives);
         upkeep::retire(map, id, &config.primitives);
         upkeep::vote_for_lines(map, id, &config.primitives);
+    }
+    fn find(&mut self, map: &mut Map, id: KeyframeId) {
+        let Some(keyframe) = map.keyframe(id) else { return };
+        let known: Vec<_> = map
+            .primitives()
+            .filter(|primitive| primitive.submap == keyframe.submap)
+            .map(|primitive| keyframe.camera_from_world.rotation * primitive.direction.as_vector())
+            .collect();
+        let found = self.finder.find(&keyframe.features, &known);
+        map.set_vanishing(id, found);
     }
 }

@@ -1,12 +1,13 @@
-//! The vanishing points of a key frame.
+//! The vanishing points of a view.
 
 use crate::config::{ConfigError, PrimitiveConfig};
-use crate::map::{KeyframeId, Map, VanishingObservation};
+use crate::features::FrameFeatures;
+use crate::map::VanishingObservation;
 use geometry::nalgebra::Vector3;
-use vision::vanishing::{SegmentPlane, VanishingEstimator};
+use vision::vanishing::{SegmentPlane, VanishingEstimator, VanishingPoint};
 
-/// Clusters the segments of key frames.
-pub(super) struct VanishingFinder {
+/// Clusters the segments of views.
+pub(crate) struct VanishingFinder {
     estimator: VanishingEstimator,
     /// Reused.
     planes: Vec<SegmentPlane>,
@@ -21,10 +22,8 @@ impl VanishingFinder {
         Ok(Self { estimator, planes: Vec::new(), segment_indices: Vec::new() })
     }
 
-    /// Finds the vanishing points of a key frame and enters them; known primitives help to find theirs.
-    pub fn find(&mut self, map: &mut Map, id: KeyframeId) {
-        let Some(keyframe) = map.keyframe(id) else { return };
-        let features = &keyframe.features;
+    /// The vanishing points of a view's segments. Directions known to be there, in the camera's frame, help to find theirs.
+    pub fn find(&mut self, features: &FrameFeatures, known: &[Vector3<f64>]) -> Vec<VanishingObservation> {
         let focal_px = features.pinhole.mean_focal_px();
         self.planes.clear();
         self.segment_indices.clear();
@@ -35,19 +34,13 @@ impl VanishingFinder {
                 self.segment_indices.push(idx as u32);
             }
         }
-        let known: Vec<Vector3<f64>> = map
-            .primitives()
-            .filter(|primitive| primitive.submap == keyframe.submap)
-            .map(|primitive| keyframe.camera_from_world.rotation * primitive.direction.as_vector())
-            .collect();
-        let found = self.estimator.cluster(&self.planes, &known);
-        let observations = found.points.into_iter().map(|point| VanishingObservation {
+        let found = self.estimator.cluster(&self.planes, known);
+        let observation = |point: VanishingPoint| VanishingObservation {
             direction: point.direction,
             covariance: point.covariance,
             segments: point.segments.iter().map(|idx| self.segment_indices[*idx as usize]).collect(),
             primitive: None,
-        });
-        let observations = observations.collect();
-        map.set_vanishing(id, observations);
+        };
+        found.points.into_iter().map(observation).collect()
     }
 }
