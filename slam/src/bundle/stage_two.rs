@@ -227,12 +227,8 @@ impl Adjustment {
             };
             let Some(vanishing) = keyframe.vanishing.get(seen.vanishing_idx as usize) else { continue };
             for segment in vanishing.segments.iter().map(|idx| &keyframe.features.lines[*idx as usize]) {
-                let factor = VanishingReprojectionFactor {
-                    pinhole: keyframe.features.pinhole,
-                    start_px: segment.start,
-                    end_px: segment.end,
-                    inverse_sigma: 1.0 / (segment.sigma_px * config.segment_sigma_factor),
-                };
+                let pinhole = keyframe.features.pinhole;
+                let factor = VanishingReprojectionFactor::of(pinhole, segment, config.segment_sigma_factor);
                 sightings.push(((*pose, variable), factor));
             }
         }

@@ -33,10 +33,12 @@ pub(super) fn verify(
     }
     let count = |keyframe: &Keyframe| n_agreeing(map, keyframe, place, place_from_current, config);
     let n_matches = count(keyframe);
-    let n_expected = n_visible(map, keyframe, place, place_from_current, config);
+    if n_matches < loops.min_projected_matches {
+        return None;
+    }
     // Where two places look alike, it is what both have that is found, not the rest.
-    let n_required = loops.min_found_share * n_expected as f64;
-    if n_matches < loops.min_projected_matches || (n_matches as f64) < n_required {
+    let n_expected = n_visible(map, keyframe, place, place_from_current, config);
+    if (n_matches as f64) < loops.min_found_share * n_expected as f64 {
         return None;
     }
     let neighbours: Vec<&Keyframe> = keyframe

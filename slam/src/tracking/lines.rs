@@ -4,7 +4,7 @@
 use super::frame::TrackedFrame;
 use crate::config::LineConfig;
 use crate::features::{FrameFeatures, LineFeature};
-use crate::map::{KeyframeId, LineId, LineLandmark, Map};
+use crate::map::{Keyframe, LineId, LineLandmark, Map};
 use geometry::nalgebra::{Vector2, Vector3};
 use geometry::{Pinhole, Pose};
 use std::collections::{BTreeMap, BTreeSet};
@@ -124,12 +124,16 @@ pub(super) struct LineTracks {
     lines: BTreeMap<u64, LineId>,
 }
 
+/// The key frames that tell what the live tracks are, oldest first.
+pub(super) fn newest_keyframes(map: &Map) -> Vec<&Keyframe> {
+    let mut keyframes: Vec<&Keyframe> = map.keyframes().collect();
+    keyframes.split_off(keyframes.len().saturating_sub(N_TRACK_KEYFRAMES))
+}
+
 impl LineTracks {
     /// Takes over what mapping found out about the tracks of the newest key frames.
     pub fn learn(&mut self, map: &Map) {
-        let mut newest: Vec<KeyframeId> = map.keyframes().map(|keyframe| keyframe.id).collect();
-        let newest = newest.split_off(newest.len().saturating_sub(N_TRACK_KEYFRAMES));
-        for keyframe in newest.iter().filter_map(|id| map.keyframe(*id)) {
+        for keyframe in newest_keyframes(map) {
             for (idx, id) in keyframe.observed_lines() {
                 self.lines.insert(keyframe.features.lines[idx].track, id);
             }

@@ -77,12 +77,8 @@ pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map, config: &Primitiv
 fn direction_sightings(frame: &TrackedFrame, map: &Map, config: &PrimitiveConfig) -> Vec<DirectionSighting> {
     let segments = frame.features.lines.iter().zip(&frame.primitives);
     let sighting = |(segment, id): (&LineFeature, &Option<PrimitiveId>)| {
-        let factor = VanishingReprojectionFactor {
-            pinhole: frame.features.pinhole,
-            start_px: segment.start,
-            end_px: segment.end,
-            inverse_sigma: 1.0 / (segment.sigma_px * config.segment_sigma_factor),
-        };
+        let pinhole = frame.features.pinhole;
+        let factor = VanishingReprojectionFactor::of(pinhole, segment, config.segment_sigma_factor);
         Some(HoldSecond { factor, second: map.primitive((*id)?)?.direction })
     };
     segments.filter_map(sighting).collect()

@@ -2,11 +2,9 @@
 //! attitude where landmarks are few or all in one spot. [ALGORITHMS 9.3; paper, "Global Structure Constraint"]
 
 use super::frame::TrackedFrame;
-use crate::map::{KeyframeId, Map, PrimitiveId};
+use super::lines::newest_keyframes;
+use crate::map::{Map, PrimitiveId};
 use std::collections::{BTreeMap, BTreeSet};
-
-/// Key frames, counted from the newest, whose vanishing points tell which track has which direction.
-const N_TRACK_KEYFRAMES: usize = 5;
 
 /// Which track of segments runs along which primitive.
 #[derive(Clone, Debug, Default)]
@@ -17,9 +15,7 @@ pub(super) struct PrimitiveTracks {
 impl PrimitiveTracks {
     /// Takes over what mapping found out about the tracks of the newest key frames.
     pub fn learn(&mut self, map: &Map) {
-        let mut newest: Vec<KeyframeId> = map.keyframes().map(|keyframe| keyframe.id).collect();
-        let newest = newest.split_off(newest.len().saturating_sub(N_TRACK_KEYFRAMES));
-        for keyframe in newest.iter().filter_map(|id| map.keyframe(*id)) {
+        for keyframe in newest_keyframes(map) {
             for vanishing in &keyframe.vanishing {
                 let tracks =
                     vanishing.segments.iter().map(|idx| keyframe.features.lines[*idx as usize].track);

@@ -1,5 +1,6 @@
 //! How far a segment is from pointing at the vanishing point of its direction.
 
+use crate::features::LineFeature;
 use geometry::nalgebra::{Matrix1x2, Matrix1x3, Matrix1x6, Vector1, Vector2, Vector3};
 use geometry::{Direction, Pinhole, Pose, so3};
 use optim::{Factor, Linearized};
@@ -37,6 +38,12 @@ struct Pointing {
 }
 
 impl VanishingReprojectionFactor {
+    /// Of a segment whose end counts for `sigma_factor` times as uncertain as it is measured.
+    pub(crate) fn of(pinhole: Pinhole, segment: &LineFeature, sigma_factor: f64) -> Self {
+        let inverse_sigma = 1.0 / (segment.sigma_px * sigma_factor);
+        Self { pinhole, start_px: segment.start, end_px: segment.end, inverse_sigma }
+    }
+
     fn point(&self, camera_from_world: &Pose, direction: &Direction) -> Option<Pointing> {
         let direction_in_camera = camera_from_world.rotation * direction.as_vector();
         let vanishing = self.pinhole.matrix() * direction_in_camera;
