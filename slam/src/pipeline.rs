@@ -120,6 +120,8 @@ pub struct Pipeline {
     last_frame: Option<(u64, i64)>,
     mapping_enabled: bool,
     lossless: bool,
+    /// Whether the last frame was placed by so few landmarks that the next one needs what mapping is making.
+    hangs_on_few: bool,
 }
 
 /// What a frame came to, before it is put into words.
@@ -187,6 +189,7 @@ impl Pipeline {
             last_frame: state.last_frame,
             mapping_enabled: true,
             lossless: true,
+            hangs_on_few: false,
             config,
         };
         pipeline.choose_n_features();
@@ -203,6 +206,9 @@ impl Pipeline {
         let mut stopwatch = Stopwatch::start(self.clock.clone());
 
         let (view, line_statistics) = self.extract(frame, &mut stopwatch);
+        if self.lossless && self.hangs_on_few {
+            self.mapping.wait();
+        }
         self.adopt_map();
         stopwatch.lap("adopt");
         let mut verdict = self.track(&view);
@@ -211,6 +217,8 @@ impl Pipeline {
             verdict = self.initialise(&view, verdict.n_candidates);
             stopwatch.lap("initialise");
         }
+        self.hangs_on_few =
+            verdict.frame.is_some() && verdict.inliers.total() < self.config.tracking.comfortable_inliers;
         self.record(&view, &verdict);
         verdict.is_keyframe |= self.extend(&verdict);
         stopwatch.lap("extend");

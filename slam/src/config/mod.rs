@@ -216,6 +216,9 @@ pub struct TrackingConfig {
     pub keyframe_sigma_factor: f64,
     /// How many times as uncertain a weak pose may be; beyond it the camera is lost. Default 5.
     pub weak_sigma_factor: f64,
+    /// With fewer landmarks than this, tracking waits for mapping to finish before the next frame, unless frames may be
+    /// dropped. Default 60: what the newest key frame adds decides then whether the camera is lost.
+    pub comfortable_inliers: usize,
     /// For how long a camera that was lost is looked for where it was heading, nanoseconds. Default 0.5 s: then people
     /// have turned.
     pub max_coasting_ns: i64,
@@ -249,6 +252,7 @@ impl Default for TrackingConfig {
             max_position_sigma_share: 0.01,
             keyframe_sigma_factor: 1.5,
             weak_sigma_factor: 5.0,
+            comfortable_inliers: 60,
             max_coasting_ns: 500_000_000,
         }
     }
