@@ -234,10 +234,7 @@ pub fn ransac_pose(
     config: &RansacConfig,
     rng: &mut impl Rng,
 ) -> Option<RansacReport<Pose>> {
-    if observations.len() < 4 {
-        return None;
-    }
-    ransac(&PoseEstimator { observations }, config, rng).filter(|report| report.n_inliers >= 4)
+    search_pose(&PoseEstimator { observations, rotations: None }, config, rng)
 }
 
 /// As [`ransac_pose`], where the rotation is known to be one of a few: two observations then give the position, so that
@@ -251,42 +248,20 @@ pub fn ransac_pose_with_rotations(
     config: &RansacConfig,
     rng: &mut impl Rng,
 ) -> Option<RansacReport<Pose>> {
-    if observations.len() < 4 {
+    search_pose(&PoseEstimator { observations, rotations: Some(rotations) }, config, rng)
+}
+
+/// Three observations fit anything: no pose is found from fewer than four, or explained by fewer.
+fn search_pose(
+    estimator: &PoseEstimator<'_>,
+    config: &RansacConfig,
+    rng: &mut impl Rng,
+) -> Option<RansacReport<Pose>> {
+    const MIN_OBSERVATIONS: usize = 4;
+    if estimator.n_data() < MIN_OBSERVATIONS {
         return None;
     }
-    let estimator = PositionEstimator { all: PoseEstimator { observations }, rotations };
-    ransac(&estimator, config, rng).filter(|report| report.n_inliers >= 4)
-}
-
-struct PositionEstimator<'a> {
-    all: PoseEstimator<'a>,
-    rotations: &'a [UnitQuaternion<f64>],
-}
-
-impl Estimator for PositionEstimator<'_> {
-    type Model = Pose;
-
-    fn sample_size(&self) -> usize {
-        2
-    }
-
-    fn n_data(&self) -> usize {
-        self.all.n_data()
-    }
-
-    fn fit_sample(&self, sample: &[usize], models: &mut Vec<Pose>) {
-        let sample = [&self.all.observations[sample[0]], &self.all.observations[sample[1]]];
-        models.extend(self.rotations.iter().filter_map(|rotation| pose_with_rotation(rotation, sample)));
-    }
-
-    #[inline]
-    fn squared_residual(&self, model: &Pose, datum: usize) -> f64 {
-        self.all.squared_residual(model, datum)
-    }
-
-    fn refine(&self, model: &Pose, inliers: &[usize]) -> Option<Pose> {
-        self.all.refine(model, inliers)
-    }
+    ransac(estimator, config, rng).filter(|report| report.n_inliers >= MIN_OBSERVATIONS)
 }
 
 /// The position from which two points are nearest to the rays they are seen along, both in front of the camera.
@@ -305,13 +280,15 @@ fn pose_with_rotation(rotation: &UnitQuaternion<f64>, sample: [&PoseObservation;
 
 struct PoseEstimator<'a> {
     observations: &'a [PoseObservation],
+    /// Those of which one is the camera's, if it is known to be so.
+    rotations: Option<&'a [UnitQuaternion<f64>]>,
 }
 
 impl Estimator for PoseEstimator<'_> {
     type Model = Pose;
 
     fn sample_size(&self) -> usize {
-        3
+        if self.rotations.is_some() { 2 } else { 3 }
     }
 
     fn n_data(&self) -> usize {
@@ -319,9 +296,14 @@ impl Estimator for PoseEstimator<'_> {
     }
 
     fn fit_sample(&self, sample: &[usize], models: &mut Vec<Pose>) {
-        let bearings = std::array::from_fn(|i| self.observations[sample[i]].bearing);
-        let points = std::array::from_fn(|i| self.observations[sample[i]].point);
-        models.extend(p3p(&bearings, &points));
+        if let Some(rotations) = self.rotations {
+            let sample = [&self.observations[sample[0]], &self.observations[sample[1]]];
+            models.extend(rotations.iter().filter_map(|rotation| pose_with_rotation(rotation, sample)));
+        } else {
+            let bearings = std::array::from_fn(|i| self.observations[sample[i]].bearing);
+            let points = std::array::from_fn(|i| self.observations[sample[i]].point);
+            models.extend(p3p(&bearings, &points));
+        }
     }
 
     #[inline]

@@ -6,7 +6,7 @@
 //! submaps and is reached from neither is kept on, and followed from both sides once the two have been merged.
 
 use crate::config::{InitialisationConfig, SlamConfig};
-use crate::initialisation::View;
+use crate::features::View;
 use crate::map::{FramePose, FrameRecord, FrameState, Map};
 use crate::mapping::median_depth;
 use crate::report::TrackingOutcome;
@@ -244,7 +244,7 @@ impl Way {
             Some(_) => self.tracker.adopt(map),
             None => self.tracker.start(self.reached.now(map)?, map),
         }
-        let tracked = self.tracker.track(view.sequence, view.timestamp_ns, view.features.clone(), map);
+        let tracked = self.tracker.track(&view, map);
         let placed = tracked.frame.filter(|_| matches!(tracked.outcome, TrackingOutcome::Tracked));
         let Some(anchor) = placed.and_then(|frame| Anchor::of(&frame, map)) else {
             self.n_failures += 1;

@@ -2,6 +2,7 @@
 
 use geometry::nalgebra::Vector2;
 use geometry::{Camera, Pinhole};
+use std::sync::Arc;
 use vision::{Descriptor, Features, GridBounds, Keypoint, KeypointGrid};
 
 /// The resolutions features are looked for in.
@@ -54,6 +55,14 @@ impl LineFeature {
     pub fn midpoint(&self) -> Vector2<f64> {
         (self.start + self.end) / 2.0
     }
+}
+
+/// A frame as the front end leaves it: whose it is, and what it shows.
+#[derive(Clone, Debug)]
+pub(crate) struct View {
+    pub sequence: u64,
+    pub timestamp_ns: i64,
+    pub features: Arc<FrameFeatures>,
 }
 
 /// The points and lines of one frame. Immutable once made and shared between the frame, its key frame and the store.

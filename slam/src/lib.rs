@@ -10,6 +10,7 @@ mod continuity;
 pub mod features;
 mod front_end;
 mod initialisation;
+mod input;
 mod loops;
 pub mod map;
 mod mapping;
@@ -25,8 +26,9 @@ pub use config::{
     LineConfig, LoopConfig, MappingConfig, PrimitiveConfig, RelocalisationConfig, SlamConfig, SubmapConfig,
     Threading, TrackingConfig,
 };
+pub use input::{Frame, FrameError, ResumeError, ResumeState};
 pub use map::{Keyframe, Map, MapUpdate};
-pub use pipeline::{Frame, FrameError, Pipeline, ResumeError, ResumeState};
+pub use pipeline::Pipeline;
 pub use report::{
     FrameReport, InitialisationWait, LineJudgement, LineVerdict, LostReason, MapEvent, PoseUncertainty,
     TrackingOutcome,

@@ -3,11 +3,11 @@
 use crate::backfill::Backfill;
 use crate::clock::{Clock, Stopwatch};
 use crate::config::{ConfigError, SlamConfig, Threading};
+use crate::features::View;
 use crate::front_end::FrontEnd;
-use crate::initialisation::{InitialPair, Initialiser, View};
-use crate::map::{
-    FramePose, FrameRecord, FrameState, KeyframeId, Map, MapError, MapParts, MapUpdate, SubmapId,
-};
+use crate::initialisation::{InitialPair, Initialiser};
+use crate::input::{Frame, FrameError, ResumeError, ResumeState};
+use crate::map::{FramePose, FrameRecord, FrameState, KeyframeId, Map, MapUpdate, SubmapId};
 use crate::mapping::stage::MappingStage;
 use crate::mapping::{InitialMap, Mapper, NewKeyframe};
 use crate::report::{FrameReport, InitialisationWait, LineJudgement, LostReason, TrackingOutcome};
@@ -15,74 +15,7 @@ use crate::tracking::frame::{Inliers, TrackedFrame};
 use crate::tracking::{Tracked, Tracker};
 use geometry::{Camera, Pose};
 use std::sync::Arc;
-use vision::GrayImage;
 use vision::lines::LineTrackingStatistics;
-
-/// One image of the stream.
-#[derive(Clone, Debug)]
-pub struct Frame {
-    /// The client's number of the frame.
-    pub sequence: u64,
-    /// The client's time of the frame, nanoseconds.
-    pub timestamp_ns: i64,
-    /// The image, of the session's camera's size.
-    pub image: GrayImage,
-}
-
-/// Why a frame cannot be used; nothing of it is kept.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum FrameError {
-    /// The image is not of the camera's size.
-    #[error(
-        "the image is {width}x{height} pixels but the session's camera is {expected_width}x{expected_height}"
-    )]
-    WrongImageSize {
-        /// Width of the image.
-        width: u32,
-        /// Height of the image.
-        height: u32,
-        /// Width of the camera.
-        expected_width: u32,
-        /// Height of the camera.
-        expected_height: u32,
-    },
-    /// Time does not go on.
-    #[error("timestamp_ns {timestamp_ns} is not after the last frame's {last_timestamp_ns}")]
-    TimestampNotIncreasing {
-        /// The frame's time.
-        timestamp_ns: i64,
-        /// The time of the frame before.
-        last_timestamp_ns: i64,
-    },
-    /// The number does not go up.
-    #[error("sequence {sequence} is not after the last frame's {last_sequence}")]
-    SequenceNotIncreasing {
-        /// The frame's number.
-        sequence: u64,
-        /// The number of the frame before.
-        last_sequence: u64,
-    },
-}
-
-/// What a stored session is taken up with.
-#[derive(Clone, Debug, Default)]
-pub struct ResumeState {
-    /// The stored map; empty if there was none yet.
-    pub map: MapParts,
-    /// Number and time of the last stored frame.
-    pub last_frame: Option<(u64, i64)>,
-}
-
-/// Why a stored session cannot be taken up.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum ResumeError {
-    /// The configuration cannot be used.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The stored map is inconsistent.
-    #[error(transparent)]
-    Map(#[from] MapError),
-}
 
 /// Frames without a key frame after which the trajectory so far is handed out to be stored.
 const MAX_UNRECORDED_FRAMES: usize = 30;
@@ -324,15 +257,7 @@ impl Pipeline {
         let inliers = Inliers { n_points: pair.points.len(), n_lines: 0 };
         let (first_id, second_id) = (self.next_keyframe_id(), self.next_keyframe_id());
         let frame_of = |view: &View, camera_from_world, reference| {
-            let features = view.features.clone();
-            TrackedFrame::blank(
-                view.sequence,
-                view.timestamp_ns,
-                features,
-                camera_from_world,
-                reference,
-                self.submap,
-            )
+            TrackedFrame::blank(view, camera_from_world, reference, self.submap)
         };
         let first = frame_of(&pair.first, Pose::identity(), first_id);
         let mut second = frame_of(&pair.second, pair.second_from_first, second_id);
@@ -379,8 +304,7 @@ impl Pipeline {
             return Verdict::nowhere(TrackingOutcome::Lost(LostReason::NotRelocalised { n_candidates: 0 }));
         }
         let was_followed = self.tracker.last_frame().is_some();
-        let mut tracked =
-            self.tracker.track(view.sequence, view.timestamp_ns, view.features.clone(), &self.map);
+        let mut tracked = self.tracker.track(view, &self.map);
         match &tracked.frame {
             None => self.lose(view, was_followed),
             Some(frame) => {
@@ -414,14 +338,7 @@ impl Pipeline {
         if !self.n_since_search.is_multiple_of(self.config.submaps.search_interval) {
             return None;
         }
-        let features = view.features.clone();
-        let found = self.tracker.find_elsewhere(
-            view.sequence,
-            view.timestamp_ns,
-            features,
-            &self.map,
-            self.submap,
-        )?;
+        let found = self.tracker.find_elsewhere(view, &self.map, self.submap)?;
         self.discard_submap();
         self.submap = found.frame.as_ref().map_or(self.submap, |frame| frame.submap);
         Some(found)

@@ -8,14 +8,13 @@ mod two_view;
 
 use crate::bundle;
 use crate::config::InitialisationConfig;
-use crate::features::FrameFeatures;
+use crate::features::View;
 use crate::report::InitialisationWait;
 use geometry::Pose;
 use geometry::nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
-use std::sync::Arc;
 use two_view::TwoViewMotion;
 
 /// The width of image that pixel distances in the configuration are meant for.
@@ -23,14 +22,6 @@ const REFERENCE_WIDTH_PX: f64 = 640.0;
 
 /// Demands on the direction of motion fall to a share of one over this at most.
 const MAX_RELAXATION: f64 = 2.5;
-
-/// A frame that may become one of the first two key frames.
-#[derive(Clone, Debug)]
-pub(crate) struct View {
-    pub sequence: u64,
-    pub timestamp_ns: i64,
-    pub features: Arc<FrameFeatures>,
-}
 
 /// Two views with the motion between them and what both see. The median depth in the first view is 1.
 #[derive(Clone, Debug)]

@@ -1,8 +1,9 @@
 //! The test of a first map: does a view that had no part in making it agree?
 
 use super::matching::match_views;
-use super::{InitialPair, REFERENCE_WIDTH_PX, View};
+use super::{InitialPair, REFERENCE_WIDTH_PX};
 use crate::config::InitialisationConfig;
+use crate::features::View;
 use geometry::absolute_pose::{PoseObservation, ransac_pose};
 use geometry::ransac::RansacConfig;
 use rand_chacha::ChaCha8Rng;

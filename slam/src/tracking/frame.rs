@@ -1,6 +1,6 @@
 //! A frame while it is being tracked.
 
-use crate::features::FrameFeatures;
+use crate::features::{FrameFeatures, View};
 use crate::map::{FramePose, Keyframe, KeyframeId, LineId, Map, PointId, PrimitiveId, SubmapId};
 use geometry::Pose;
 use geometry::nalgebra::Vector3;
@@ -43,23 +43,15 @@ pub(crate) struct TrackedFrame {
 
 impl TrackedFrame {
     /// A frame in which nothing has been recognised yet.
-    pub fn blank(
-        sequence: u64,
-        timestamp_ns: i64,
-        features: Arc<FrameFeatures>,
-        camera_from_world: Pose,
-        reference: KeyframeId,
-        submap: SubmapId,
-    ) -> Self {
-        let (points, lines) = (vec![None; features.len()], vec![None; features.lines.len()]);
-        let primitives = vec![None; features.lines.len()];
+    pub fn blank(view: &View, camera_from_world: Pose, reference: KeyframeId, submap: SubmapId) -> Self {
+        let (n_points, n_segments) = (view.features.len(), view.features.lines.len());
         Self {
-            sequence,
-            timestamp_ns,
-            features,
-            points,
-            lines,
-            primitives,
+            sequence: view.sequence,
+            timestamp_ns: view.timestamp_ns,
+            features: view.features.clone(),
+            points: vec![None; n_points],
+            lines: vec![None; n_segments],
+            primitives: vec![None; n_segments],
             camera_from_world,
             reference,
             submap,

@@ -4,12 +4,14 @@ use super::frame::TrackedFrame;
 use super::pose::place_frame;
 use super::search::{Expected, match_keyframe, search_by_motion};
 use crate::config::{ConfigError, PrimitiveConfig, RelocalisationConfig, SlamConfig};
+use crate::features::View;
 use crate::map::{Keyframe, KeyframeId, Map, PointId, SubmapId};
 use crate::places::KeyframePlaces;
 use crate::vanishing::VanishingFinder;
+use geometry::Pose;
 use geometry::absolute_pose::{PoseObservation, ransac_pose, ransac_pose_with_rotations};
 use geometry::nalgebra::{UnitQuaternion, Vector3};
-use geometry::ransac::RansacConfig;
+use geometry::ransac::{RansacConfig, RansacReport};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
@@ -34,6 +36,16 @@ pub(crate) struct Relocaliser {
     finder: Option<VanishingFinder>,
     rng: ChaCha8Rng,
     n_candidates: usize,
+    /// Vanishing points of the frame that is looked for, in its camera's frame, once they were asked for.
+    vanishing: Option<Vec<Vector3<f64>>>,
+}
+
+/// Keypoints of a frame that look like landmarks.
+struct Matches {
+    /// Keypoint and landmark.
+    known: Vec<(usize, PointId)>,
+    /// The same as geometry.
+    observations: Vec<PoseObservation>,
 }
 
 /// What a search for a pose starts from.
@@ -55,6 +67,7 @@ impl Relocaliser {
             places: KeyframePlaces::default(),
             rng: ChaCha8Rng::seed_from_u64(config.seed),
             n_candidates: 0,
+            vanishing: None,
         })
     }
 
@@ -69,49 +82,40 @@ impl Relocaliser {
     }
 
     /// The key frames that look most like a frame, best first. A submap may be left out.
-    pub fn candidates(
-        &mut self,
-        blank: &TrackedFrame,
-        map: &Map,
-        except: Option<SubmapId>,
-    ) -> Vec<KeyframeId> {
+    pub fn candidates(&mut self, view: &View, map: &Map, except: Option<SubmapId>) -> Vec<KeyframeId> {
         let is_wanted = |id| map.keyframe(id).is_some_and(|keyframe| Some(keyframe.submap) != except);
         let candidates =
-            self.places.most_similar(&blank.features.descriptors, self.config.max_candidates, is_wanted);
+            self.places.most_similar(&view.features.descriptors, self.config.max_candidates, is_wanted);
         self.n_candidates = candidates.len();
+        self.vanishing = None;
         candidates.iter().map(|candidate| candidate.keyframe).collect()
     }
 
-    /// The frame with a pose and matches, if the place of a key frame fits it: by its points, or, where few are matched, by
-    /// those and the directions that both show.
-    pub fn try_place(
-        &mut self,
-        frame: &TrackedFrame,
-        keyframe: &Keyframe,
-        map: &Map,
-    ) -> Option<TrackedFrame> {
-        let matches = match_keyframe(keyframe, &frame.features);
-        if matches.len() >= self.config.min_matches {
-            let placed = self.place(frame, keyframe, &matches, &Start::Matches, map);
+    /// The frame with a pose and matches, if the place of a [candidate](Self::candidates) fits it: by its points, or,
+    /// where few are matched, by those and the directions that both show.
+    pub fn try_place(&mut self, view: &View, keyframe: &Keyframe, map: &Map) -> Option<TrackedFrame> {
+        let matches = Matches::of(view, keyframe, map);
+        if matches.known.len() >= self.config.min_matches {
+            let placed = self.place(view, keyframe, &matches, &Start::Matches, map);
             if placed.is_some() {
                 return placed;
             }
         }
-        if matches.len() < self.config.min_matches_with_directions {
+        if matches.known.len() < self.config.min_matches_with_directions {
             return None;
         }
-        let attitudes = self.attitudes(frame, keyframe, map);
+        let attitudes = self.attitudes(view, keyframe, map);
         if attitudes.is_empty() {
             return None;
         }
-        self.place(frame, keyframe, &matches, &Start::Attitudes(&attitudes), map)
+        self.place(view, keyframe, &matches, &Start::Attitudes(&attitudes), map)
     }
 
     fn place(
         &mut self,
-        frame: &TrackedFrame,
+        view: &View,
         keyframe: &Keyframe,
-        matches: &[(usize, PointId)],
+        matches: &Matches,
         start: &Start<'_>,
         map: &Map,
     ) -> Option<TrackedFrame> {
@@ -119,8 +123,15 @@ impl Relocaliser {
             Start::Matches => self.config.min_first_inliers,
             Start::Attitudes(_) => self.config.min_first_inliers_with_directions,
         };
-        let mut frame = TrackedFrame { reference: keyframe.id, submap: keyframe.submap, ..frame.clone() };
-        self.place_by_matches(&mut frame, matches, start, min_first_inliers, map)?;
+        let report = self.search_pose(&matches.observations, start)?;
+        if report.n_inliers < min_first_inliers {
+            return None;
+        }
+        let mut frame = TrackedFrame::blank(view, report.model, keyframe.id, keyframe.submap);
+        for ((feature_idx, id), _) in matches.known.iter().zip(&report.inliers).filter(|(_, inlier)| **inlier)
+        {
+            frame.points[*feature_idx] = Some(*id);
+        }
         let mut n_inliers = place_frame(&mut frame, map, &self.primitives).inliers.total();
         if n_inliers < min_first_inliers {
             return None;
@@ -133,55 +144,29 @@ impl Relocaliser {
     }
 
     /// The attitudes, in the world of a key frame, under which the frame shows its vanishing points where primitives are.
-    fn attitudes(
-        &mut self,
-        frame: &TrackedFrame,
-        keyframe: &Keyframe,
-        map: &Map,
-    ) -> Vec<UnitQuaternion<f64>> {
+    fn attitudes(&mut self, view: &View, keyframe: &Keyframe, map: &Map) -> Vec<UnitQuaternion<f64>> {
         let Some(finder) = &mut self.finder else { return Vec::new() };
+        let seen = self.vanishing.get_or_insert_with(|| {
+            finder.find(&view.features, &[]).iter().map(|vanishing| vanishing.direction).collect()
+        });
         let in_submap = map.primitives().filter(|primitive| primitive.submap == keyframe.submap);
         let known: Vec<Vector3<f64>> = in_submap.map(|primitive| *primitive.direction.as_vector()).collect();
-        let found = finder.find(&frame.features, &[]);
-        let seen: Vec<Vector3<f64>> = found.iter().map(|vanishing| vanishing.direction).collect();
-        rotation_hypotheses(&known, &seen, ATTITUDE_TOLERANCE_DEG.to_radians(), MAX_ATTITUDES)
+        rotation_hypotheses(&known, seen, ATTITUDE_TOLERANCE_DEG.to_radians(), MAX_ATTITUDES)
     }
 
-    /// A pose that many matches agree with; only those are kept.
-    fn place_by_matches(
+    /// A pose that many matches agree with.
+    fn search_pose(
         &mut self,
-        frame: &mut TrackedFrame,
-        matches: &[(usize, PointId)],
+        observations: &[PoseObservation],
         start: &Start<'_>,
-        min_inliers: usize,
-        map: &Map,
-    ) -> Option<()> {
-        let focal_px = frame.features.pinhole.mean_focal_px();
-        let mut known = Vec::with_capacity(matches.len());
-        let mut observations = Vec::with_capacity(matches.len());
-        for (feature_idx, id) in matches {
-            let Some(point) = map.point(*id) else { continue };
-            known.push((*feature_idx, *id));
-            observations.push(PoseObservation {
-                bearing: frame.features.pinhole.bearing(&frame.features.undistorted[*feature_idx]),
-                point: point.position,
-                sigma_rad: frame.features.sigma_px(*feature_idx) / focal_px,
-            });
-        }
+    ) -> Option<RansacReport<Pose>> {
         let config = RansacConfig { max_iterations: self.config.max_iterations, ..RansacConfig::default() };
-        let report = match start {
-            Start::Matches => ransac_pose(&observations, &config, &mut self.rng),
+        match start {
+            Start::Matches => ransac_pose(observations, &config, &mut self.rng),
             Start::Attitudes(attitudes) => {
-                ransac_pose_with_rotations(&observations, attitudes, &config, &mut self.rng)
+                ransac_pose_with_rotations(observations, attitudes, &config, &mut self.rng)
             }
-        };
-        let report = report.filter(|report| report.n_inliers >= min_inliers)?;
-        frame.camera_from_world = report.model;
-        frame.points.fill(None);
-        for ((feature_idx, id), _) in known.iter().zip(&report.inliers).filter(|(_, inlier)| **inlier) {
-            frame.points[*feature_idx] = Some(*id);
         }
-        Some(())
     }
 
     /// Looks for what the recognised key frame and its neighbours see, around where the pose puts it.
@@ -207,5 +192,24 @@ impl Relocaliser {
                 &mut frame.points,
             );
         }
+    }
+}
+
+impl Matches {
+    fn of(view: &View, keyframe: &Keyframe, map: &Map) -> Self {
+        let features = &view.features;
+        let focal_px = features.pinhole.mean_focal_px();
+        let (known, observations) = match_keyframe(keyframe, features)
+            .into_iter()
+            .filter_map(|(feature_idx, id)| {
+                let observation = PoseObservation {
+                    bearing: features.pinhole.bearing(&features.undistorted[feature_idx]),
+                    point: map.point(id)?.position,
+                    sigma_rad: features.sigma_px(feature_idx) / focal_px,
+                };
+                Some(((feature_idx, id), observation))
+            })
+            .unzip();
+        Self { known, observations }
     }
 }

@@ -76,8 +76,11 @@ pub fn rotation_hypotheses(
                     continue;
                 };
                 let is_new = rotations.iter().all(|other| other.angle_to(&rotation) > tolerance);
-                if is_new && rotations.len() < max_rotations {
+                if is_new {
                     rotations.push(rotation);
+                }
+                if rotations.len() >= max_rotations {
+                    return rotations;
                 }
             }
         }

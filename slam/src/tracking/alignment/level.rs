@@ -15,9 +15,8 @@ const N_UNKNOWNS: usize = 8;
 const MIN_STEP: f64 = 1e-5;
 /// Share of the patches that must be visible for a motion to be compared with others.
 const MIN_VISIBLE_SHARE: f64 = 0.4;
-/// Standard deviation of the contrast between two images, which is about 1; of one grey level in a hundred patches.
+/// Standard deviation of the contrast between two images about 1: keeps it where it belongs when patches are nearly plain.
 const CONTRAST_SIGMA: f64 = 0.2;
-
 /// Contrasts between two images of one camera, a moment apart, that are believed.
 const CONTRASTS: std::ops::Range<f64> = 0.4..2.5;
 /// Least variance of the grey levels compared: below there is nothing but noise.
@@ -43,7 +42,6 @@ impl Motion {
 }
 
 /// A patch of the first image with its derivatives.
-#[derive(Clone)]
 struct Prepared {
     position: Vector3<f64>,
     grey_levels: [f64; N_PIXELS],
@@ -58,12 +56,6 @@ impl LevelPatches {
     /// Leaves out the patches that are too near to the edge.
     pub fn prepare((image, camera): (&GrayImage, &Camera), positions: &[Vector3<f64>]) -> Self {
         Self(positions.iter().filter_map(|position| prepare(image, camera, position)).collect())
-    }
-
-    /// At most so many of them.
-    pub fn thinned(&self, n_patches: usize) -> Self {
-        let step = self.len().div_ceil(n_patches).max(1);
-        Self(self.0.iter().step_by(step).cloned().collect())
     }
 
     pub fn len(&self) -> usize {
@@ -83,8 +75,11 @@ impl LevelPatches {
                 residuals.iter().map(|residual| huber_cost(*residual, config.huber_grey_levels)).sum::<f64>();
             n_visible += 1;
         }
-        let is_comparable = n_visible as f64 >= MIN_VISIBLE_SHARE * self.len() as f64 && n_visible > 0;
-        is_comparable.then(|| sum / (n_visible * N_PIXELS) as f64)
+        self.is_comparable(n_visible).then(|| sum / (n_visible * N_PIXELS) as f64)
+    }
+
+    fn is_comparable(&self, n_visible: usize) -> bool {
+        n_visible > 0 && n_visible as f64 >= MIN_VISIBLE_SHARE * self.len() as f64
     }
 
     /// How alike the patches are under a motion, -1 to 1 whatever the contrast and the brightness, and the motion with those
@@ -103,7 +98,7 @@ impl LevelPatches {
                 product += first * second;
             }
         }
-        if n_visible == 0 || (n_visible as f64) < MIN_VISIBLE_SHARE * self.len() as f64 {
+        if !self.is_comparable(n_visible) {
             return None;
         }
         let n = (n_visible * N_PIXELS) as f64;

@@ -13,6 +13,7 @@ use geometry::nalgebra::{UnitQuaternion, Vector3};
 use geometry::{Camera, Pose};
 use level::{LevelPatches, Motion};
 use pyramid::HalvedImages;
+use std::sync::Arc;
 use vision::GrayImage;
 
 /// Patches that turns are tried with: each turn is a guess that all of them refine.
@@ -35,8 +36,8 @@ impl Aligner {
     /// it is found again.
     pub fn align(
         &self,
-        first: &GrayImage,
-        second: &GrayImage,
+        first: &Arc<GrayImage>,
+        second: &Arc<GrayImage>,
         positions: &[Vector3<f64>],
         expected: &Pose,
     ) -> Option<Pose> {
@@ -46,23 +47,19 @@ impl Aligner {
         let coarsest = first.coarsest();
         let finest = usize::from(config.finest_level).min(coarsest);
 
-        let mut motion = Motion::new(*expected);
+        let few = LevelPatches::prepare(first.level(coarsest), &thinned(positions, N_SEARCH_PATCHES));
+        let mut motion = self.find_turn(&few, second.level(coarsest), &Motion::new(*expected));
+        let positions = thinned(positions, config.max_patches);
+        let mut found_share = None;
         for level in (finest..=coarsest).rev() {
-            let prepared = LevelPatches::prepare(first.level(level), positions).thinned(config.max_patches);
-            if prepared.len() < config.min_patches {
+            let patches = LevelPatches::prepare(first.level(level), &positions);
+            if patches.len() < config.min_patches {
                 return None;
             }
-            let onto = second.level(level);
-            if level == coarsest {
-                motion = self.find_turn(&prepared.thinned(N_SEARCH_PATCHES), onto, &motion);
-            }
-            motion = prepared.align(onto, motion, config);
-            if level == finest {
-                let found_share = prepared.found_share(onto, &motion, config)?;
-                return (found_share >= config.min_found_share).then_some(motion.second_from_first);
-            }
+            motion = patches.align(second.level(level), motion, config);
+            found_share = patches.found_share(second.level(level), &motion, config);
         }
-        None
+        (found_share? >= config.min_found_share).then_some(motion.second_from_first)
     }
 
     /// The best of the expected motion and of turns about it, in steps of about one pixel.
@@ -82,4 +79,9 @@ impl Aligner {
         }
         best.1
     }
+}
+
+/// At most so many, spread evenly over the order they come in.
+fn thinned(positions: &[Vector3<f64>], n_max: usize) -> Vec<Vector3<f64>> {
+    positions.iter().step_by(positions.len().div_ceil(n_max.max(1)).max(1)).copied().collect()
 }

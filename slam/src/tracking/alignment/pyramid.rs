@@ -2,24 +2,27 @@
 
 use geometry::Camera;
 use geometry::nalgebra::Vector2;
+use std::sync::Arc;
 use vision::GrayImage;
+
+/// Images are not halved below this many pixels across: patches would cover most of them.
+const MIN_SIZE_PX: u32 = 8;
 
 /// An image in ever halved resolutions, each with the camera that would have taken it.
 pub(super) struct HalvedImages {
-    levels: Vec<(GrayImage, Camera)>,
+    levels: Vec<(Arc<GrayImage>, Camera)>,
 }
 
 impl HalvedImages {
     /// Level 0 is the image itself.
-    pub fn of(image: &GrayImage, camera: &Camera, coarsest: u8) -> Self {
+    pub fn of(image: &Arc<GrayImage>, camera: &Camera, coarsest: u8) -> Self {
         let mut levels = vec![(image.clone(), camera.clone())];
         for _ in 0..coarsest {
             let (image, camera) = &levels[levels.len() - 1];
-            if image.width().min(image.height()) < 16 {
+            if image.width().min(image.height()) < 2 * MIN_SIZE_PX {
                 break;
             }
-            // An odd last row or column is left out: the camera's size is that of what is left.
-            levels.push((halved(image), camera.scaled(0.5, 0.5)));
+            levels.push((Arc::new(halved(image)), camera.scaled(0.5, 0.5)));
         }
         Self { levels }
     }
@@ -34,7 +37,7 @@ impl HalvedImages {
     }
 }
 
-/// Every pixel is the mean of four.
+/// Every pixel is the mean of four. An odd last row or column is left out.
 fn halved(image: &GrayImage) -> GrayImage {
     let (width, height) = (image.width() / 2, image.height() / 2);
     let mut half = GrayImage::new(width, height);

@@ -4,6 +4,7 @@ use super::Aligner;
 use crate::config::AlignmentConfig;
 use geometry::nalgebra::{UnitQuaternion, Vector2, Vector3};
 use geometry::{Camera, CameraModel, CameraParameters, Pose};
+use std::sync::Arc;
 use vision::GrayImage;
 
 /// Distance of the wall.
@@ -32,14 +33,15 @@ fn pattern(x: f64, y: f64) -> f64 {
         + 25.0 * (3.7 * y - 8.3 * x * (0.2 * y).cos()).cos()
 }
 
-fn view(camera: &Camera, camera_from_world: &Pose, contrast: f64, brightness: f64) -> GrayImage {
+fn view(camera: &Camera, camera_from_world: &Pose, contrast: f64, brightness: f64) -> Arc<GrayImage> {
     let world_from_camera = camera_from_world.inverse();
-    GrayImage::from_fn(camera.width(), camera.height(), |x, y| {
+    let image = GrayImage::from_fn(camera.width(), camera.height(), |x, y| {
         let ray = camera.unproject(&Vector2::new(f64::from(x), f64::from(y))).unwrap();
         let (centre, ray) = (world_from_camera.translation, world_from_camera.rotation * ray);
         let hit = centre + ray * ((DEPTH - centre.z) / ray.z);
         (contrast * pattern(hit.x, hit.y) + brightness).clamp(0.0, 255.0) as u8
-    })
+    });
+    Arc::new(image)
 }
 
 fn positions(camera: &Camera) -> Vec<Vector3<f64>> {
@@ -91,10 +93,10 @@ fn does_not_find_what_is_not_there() {
     let camera = camera(vec![]);
     let first = view(&camera, &Pose::identity(), 1.0, 0.0);
     let elsewhere = view(&camera, &motion([0.0, 0.0, 90.0], [40.0, -17.0, 0.0]), 1.0, 0.0);
-    let plain = GrayImage::from_fn(320, 240, |_, _| 128);
-    let noise = GrayImage::from_fn(320, 240, |x, y| {
+    let plain = Arc::new(GrayImage::from_fn(320, 240, |_, _| 128));
+    let noise = Arc::new(GrayImage::from_fn(320, 240, |x, y| {
         ((x * 7919 + y * 104_729).wrapping_mul(2_654_435_761) >> 24) as u8
-    });
+    }));
     let aligner = Aligner::new(camera.clone(), AlignmentConfig::default());
     for (name, second) in [("elsewhere", elsewhere), ("noise", noise)] {
         let found = aligner.align(&first, &second, &positions(&camera), &Pose::identity());

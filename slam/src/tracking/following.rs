@@ -1,0 +1,167 @@
+//! The pose of a frame from that of the one before, in the order of how much each way takes for granted, and then from the
+//! local map. [ALGORITHMS 9]
+
+use super::Tracker;
+use super::frame::TrackedFrame;
+use super::pose::{Placement, place_frame};
+use super::search::{Expected, match_keyframe, search_by_motion};
+use crate::features::View;
+use crate::map::{FramePose, Map};
+use geometry::Pose;
+use std::sync::Arc;
+use vision::GrayImage;
+
+/// A gap in time longer than this many frame intervals is not bridged by the motion model: half a second of video.
+const MAX_EXTRAPOLATION: f64 = 15.0;
+/// Frames after a relocalisation in which the local map is searched more widely, and how much.
+const WIDE_SEARCH_FRAMES: u64 = 10;
+const WIDE_SEARCH_FACTOR: f64 = 2.5;
+
+/// The frame before, as the motion model needs it.
+pub(super) struct LastFrame {
+    pub frame: TrackedFrame,
+    pub image: Option<Arc<GrayImage>>,
+    pub place: FramePose,
+    /// The [unit](crate::map::Keyframe::unit) of the reference key frame when the motion was measured.
+    pub unit: f64,
+    /// `camera_now_from_camera_before` over the last interval, and that interval, nanoseconds.
+    pub motion: Option<(Pose, i64)>,
+}
+
+impl Tracker {
+    /// By the motion so far, or, where little is found by that, by what the reference key frame sees or by the images.
+    pub(super) fn follow(&self, last: &LastFrame, view: &View, map: &Map) -> Option<TrackedFrame> {
+        let predicted = last.predict(view.timestamp_ns);
+        let mut frame = TrackedFrame::blank(view, predicted, last.frame.reference, last.frame.submap);
+        self.primitive_tracks.associate(&mut frame, map);
+        let is_enough = |found: &Option<(TrackedFrame, usize)>| {
+            found.as_ref().is_some_and(|(_, n_inliers)| *n_inliers >= self.config.tracking.min_motion_matches)
+        };
+        let by_motion = self.follow_motion(last, frame.clone(), map);
+        if is_enough(&by_motion) {
+            return by_motion.map(|(frame, _)| frame);
+        }
+        let by_reference = self.follow_reference(last, frame.clone(), map);
+        let by_image = if is_enough(&by_reference) { None } else { self.follow_image(last, frame, map) };
+        let found = [by_motion, by_reference, by_image];
+        found.into_iter().flatten().max_by_key(|(_, n_inliers)| *n_inliers).map(|(frame, _)| frame)
+    }
+
+    /// Points of the last frame, looked for where the images show that the camera moved.
+    fn follow_image(
+        &self,
+        last: &LastFrame,
+        mut frame: TrackedFrame,
+        map: &Map,
+    ) -> Option<(TrackedFrame, usize)> {
+        let (before, now) = (last.image.as_ref()?, self.image.as_ref()?);
+        let last_from_world = last.frame.camera_from_world;
+        let expected = frame.camera_from_world * last_from_world.inverse();
+        let positions = last.frame.landmark_positions(map);
+        let now_from_last = self.aligner.as_ref()?.align(before, now, &positions, &expected)?;
+        frame.camera_from_world = now_from_last * last_from_world;
+        self.follow_prediction(last, frame, map)
+    }
+
+    /// Points of the last frame, projected to where the motion so far would take them. Returns how many agree.
+    fn follow_motion(
+        &self,
+        last: &LastFrame,
+        frame: TrackedFrame,
+        map: &Map,
+    ) -> Option<(TrackedFrame, usize)> {
+        last.motion.as_ref()?;
+        self.follow_prediction(last, frame, map)
+    }
+
+    /// Landmarks of the last frame, looked for where the frame's pose so far puts them. Returns how many agree.
+    fn follow_prediction(
+        &self,
+        last: &LastFrame,
+        mut frame: TrackedFrame,
+        map: &Map,
+    ) -> Option<(TrackedFrame, usize)> {
+        let config = &self.config.tracking;
+        let expected = || {
+            last.frame.points.iter().enumerate().filter_map(|(idx, id)| {
+                let point = map.point((*id)?)?;
+                let keypoint = &last.frame.features.keypoints[idx];
+                let descriptor = &point.descriptor;
+                Some(Expected { point, octave: keypoint.octave, angle: keypoint.angle, descriptor })
+            })
+        };
+        let features = frame.features.clone();
+        let radius = config.motion_search_radius_px;
+        let mut n_matches =
+            search_by_motion(&features, &frame.camera_from_world, expected(), radius, &mut frame.points);
+        if n_matches < config.min_motion_matches {
+            frame.points.fill(None);
+            n_matches = search_by_motion(
+                &features,
+                &frame.camera_from_world,
+                expected(),
+                2.0 * radius,
+                &mut frame.points,
+            );
+        }
+        self.line_tracks.associate(&mut frame, map, &self.config.lines);
+        let n_matches = n_matches + frame.lines.iter().flatten().count();
+        if n_matches < config.min_first_inliers {
+            return None;
+        }
+        let n_inliers = place_frame(&mut frame, map, &self.config.primitives).inliers.total();
+        (n_inliers >= config.min_first_inliers).then_some((frame, n_inliers))
+    }
+
+    /// Points of the reference key frame, recognised by their descriptors, starting from the last pose. Returns how many
+    /// agree.
+    fn follow_reference(
+        &self,
+        last: &LastFrame,
+        mut frame: TrackedFrame,
+        map: &Map,
+    ) -> Option<(TrackedFrame, usize)> {
+        let config = &self.config.tracking;
+        let reference = map.keyframe(last.frame.reference)?;
+        let matches = match_keyframe(reference, &frame.features);
+        if matches.len() < config.min_reference_matches {
+            return None;
+        }
+        frame.camera_from_world = last.frame.camera_from_world;
+        for (feature_idx, id) in matches {
+            frame.points[feature_idx] = Some(id);
+        }
+        self.line_tracks.associate(&mut frame, map, &self.config.lines);
+        let n_inliers = place_frame(&mut frame, map, &self.config.primitives).inliers.total();
+        (n_inliers >= config.min_first_inliers).then_some((frame, n_inliers))
+    }
+
+    /// Finds more of what is near and places the frame by all of it. Returns how many points could have been found, too.
+    pub(super) fn track_local_map(&mut self, frame: &mut TrackedFrame, map: &Map) -> (Placement, usize) {
+        let config = &self.config.tracking;
+        if let Some(reference) = self.local_map.collect(map, frame, config) {
+            frame.reference = reference;
+            frame.submap = map.keyframe(reference).map_or(frame.submap, |keyframe| keyframe.submap);
+        }
+        let wide = self.n_since_relocalisation.is_some_and(|n| n < WIDE_SEARCH_FRAMES);
+        let radius = config.map_search_radius_px * if wide { WIDE_SEARCH_FACTOR } else { 1.0 };
+        let n_visible = self.local_map.search(map, frame, radius, config, &mut self.sightings);
+        self.local_map.search_lines(map, frame, &self.config.lines, &mut self.sightings);
+        let placement = place_frame(frame, map, &self.config.primitives);
+        frame.points.iter().flatten().for_each(|id| self.sightings.found(*id));
+        frame.lines.iter().flatten().for_each(|id| self.sightings.line_found(*id));
+        // Of crowded places the extractor picks only so many keypoints.
+        (placement, n_visible.min(frame.features.len()))
+    }
+}
+
+impl LastFrame {
+    /// The pose the motion so far leads to, for equal velocity over a frame interval that may differ from the last.
+    pub fn predict(&self, timestamp_ns: i64) -> Pose {
+        let Some((motion, interval_ns)) = &self.motion else { return self.frame.camera_from_world };
+        // Both are negative when a recording is followed backwards.
+        let ratio = (timestamp_ns - self.frame.timestamp_ns) as f64 / *interval_ns as f64;
+        let ratio = if ratio.is_finite() { ratio } else { 1.0 };
+        Pose::exp(&(motion.log() * ratio.clamp(0.0, MAX_EXTRAPOLATION))) * self.frame.camera_from_world
+    }
+}

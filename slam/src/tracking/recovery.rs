@@ -1,0 +1,114 @@
+//! Where a camera that was lost may be, and whether it is there.
+
+use super::frame::{Inliers, TrackedFrame};
+use super::judgement::judge;
+use super::{Tracked, Tracker};
+use crate::config::ContinuityConfig;
+use crate::continuity::Reach;
+use crate::features::View;
+use crate::map::{FramePose, Map, SubmapId};
+use crate::report::TrackingOutcome;
+use geometry::Pose;
+
+/// Share of the latest interval in the mean speed, which so spans a third of a second of video.
+const SPEED_UPDATE: f64 = 0.1;
+
+/// Where a camera was when it was last placed in a submap.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LastSeen {
+    place: FramePose,
+    timestamp_ns: i64,
+    /// Map units per nanosecond, the mean of late.
+    speed: f64,
+    /// The unit of the reference key frame that the speed is in.
+    unit: f64,
+}
+
+impl Tracker {
+    /// Looks for a frame in the submaps other than the one it is followed in. Where it is found there, the camera is
+    /// followed there from now on.
+    pub fn find_elsewhere(&mut self, view: &View, map: &Map, except: SubmapId) -> Option<Tracked> {
+        let before = self.last.take();
+        match self.relocalise(view, map, Some(except)) {
+            Some((frame, inliers, outcome @ TrackingOutcome::Tracked)) => {
+                Some(self.conclude(frame, inliers, outcome, true, map))
+            }
+            _ => {
+                self.last = before;
+                None
+            }
+        }
+    }
+
+    /// Tries the places that look like a frame until one fits that the camera can have reached.
+    pub(super) fn relocalise(
+        &mut self,
+        view: &View,
+        map: &Map,
+        except: Option<SubmapId>,
+    ) -> Option<(TrackedFrame, Inliers, TrackingOutcome)> {
+        let reaches: Vec<Reach> = self
+            .last_seen
+            .values()
+            .filter_map(|seen| seen.reach(map, view.timestamp_ns, &self.config.continuity))
+            .collect();
+        for candidate in self.relocaliser.as_mut()?.candidates(view, map, except) {
+            let found = map
+                .keyframe(candidate)
+                .and_then(|keyframe| self.relocaliser.as_mut()?.try_place(view, keyframe, map));
+            let Some(mut frame) = found else { continue };
+            let before = (self.n_since_relocalisation.replace(0), self.sightings.clone());
+            let (placement, n_expected) = self.track_local_map(&mut frame, map);
+            let outcome = judge(&placement, n_expected, true, &self.config.tracking);
+            let is_lost = matches!(outcome, TrackingOutcome::Lost(_));
+            if !is_lost && self.is_credible(&frame, placement.inliers, n_expected, &reaches) {
+                return Some((frame, placement.inliers, outcome));
+            }
+            (self.n_since_relocalisation, self.sightings) = before;
+        }
+        None
+    }
+
+    /// Whether enough of what a place should show was found there: where two places look alike, it is what both have.
+    fn is_credible(
+        &self,
+        frame: &TrackedFrame,
+        inliers: Inliers,
+        n_expected: usize,
+        reaches: &[Reach],
+    ) -> bool {
+        // A camera seen a moment ago in another submap is at a place of this one that nothing is known of.
+        let reach = reaches.iter().find(|reach| reach.submap == frame.submap);
+        let centre = frame.camera_from_world.centre();
+        if reach.map_or(reaches.is_empty(), |reach| reach.includes(&centre)) {
+            return self.config.relocalisation.is_enough(inliers.total(), n_expected);
+        }
+        let continuity = &self.config.continuity;
+        let share = inliers.total() as f64 / n_expected.max(1) as f64;
+        inliers.total() >= continuity.n_beyond_doubt && share >= continuity.share_beyond_doubt
+    }
+
+    /// Notes where the camera is in its submap and how fast it moves.
+    pub(super) fn note_seen(&mut self, frame: &TrackedFrame, motion: Option<&(Pose, i64)>, map: &Map) {
+        let Some((place, anchor)) = frame.pose_in(map).zip(map.anchor_of(frame.reference)) else { return };
+        let (timestamp_ns, unit) = (frame.timestamp_ns, anchor.unit);
+        let now =
+            motion.map(|(motion, interval_ns)| motion.translation.norm() / interval_ns.abs().max(1) as f64);
+        let known = self.last_seen.get(&frame.submap).filter(|seen| seen.speed > 0.0);
+        let before = known.map(|seen| seen.speed * unit / seen.unit);
+        let speed = match (before, now) {
+            (Some(before), Some(now)) => before + SPEED_UPDATE * (now - before),
+            (before, now) => before.or(now).unwrap_or(0.0),
+        };
+        self.last_seen.insert(frame.submap, LastSeen { place, timestamp_ns, speed, unit });
+    }
+}
+
+impl LastSeen {
+    fn reach(&self, map: &Map, timestamp_ns: i64, config: &ContinuityConfig) -> Option<Reach> {
+        let (_, camera_from_world) = map.locate(&self.place)?;
+        let speed = self.speed * map.anchor_of(self.place.reference)?.unit / self.unit;
+        let elapsed_ns = timestamp_ns - self.timestamp_ns;
+        Reach::from(map, self.place.reference, &camera_from_world.centre(), speed, elapsed_ns, config)
+    }
+}
