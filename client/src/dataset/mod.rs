@@ -13,7 +13,10 @@ mod folder;
 mod icl;
 mod kitti;
 mod listing;
+mod playback;
 mod tum;
+
+pub use playback::Playback;
 
 use std::fmt;
 use std::path::{Path, PathBuf};

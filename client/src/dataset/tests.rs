@@ -61,6 +61,35 @@ fn folder() -> Folder {
 }
 
 #[test]
+fn a_recording_is_played_otherwise() {
+    let folder = folder();
+    let played = |playback: Playback| Recording::open(folder.root(), None).unwrap().played(&playback);
+    let names = |recording: &Recording| -> Vec<String> {
+        let paths = recording.frames.iter().map(|frame| frame.path.file_stem().unwrap());
+        paths.map(|name| name.to_string_lossy().into_owned()).collect()
+    };
+    let every = |n: usize| n.try_into().unwrap();
+
+    let all = played(Playback::default()).unwrap();
+    assert_eq!(names(&all), ["a", "b", "c"]);
+    assert!(!all.name.contains('('), "{}", all.name);
+    let thinned = played(Playback { every: every(2), ..Playback::default() }).unwrap();
+    assert_eq!(names(&thinned), ["a", "c"]);
+    assert!(thinned.name.ends_with(" (1 in 2)"), "{}", thinned.name);
+    let cut = played(Playback { start: 1, end: Some(2), ..Playback::default() }).unwrap();
+    assert_eq!(names(&cut), ["b"]);
+
+    // The first image is seen at 1.000000001, its truth is for a nanosecond before: both move to the other end.
+    let back = played(Playback { backwards: true, ..Playback::default() }).unwrap();
+    assert_eq!(names(&back), ["c", "b", "a"]);
+    assert_eq!(timestamps(&back), [1_000_000_001, 1_100_000_001, 1_200_000_000]);
+    assert_eq!(back.ground_truth.unwrap().poses()[0].timestamp_ns, 1_200_000_001);
+
+    let error = played(Playback { start: 3, ..Playback::default() }).unwrap_err().to_string();
+    assert!(error.contains("no frame is left of 3 (from frame 3)"), "{error}");
+}
+
+#[test]
 fn a_folder_with_calib_json_is_read() {
     let folder = folder();
     let recording = Recording::open(folder.root(), None).unwrap();

@@ -12,6 +12,7 @@ use client::{StreamSummary, camera_message};
 use proto::v1;
 use serde::{Deserialize, Serialize};
 
+use super::playback::PlaybackArgs;
 use super::{Configuration, Pace, machine};
 use crate::commands::local::{LocalRun, LocalServer};
 
@@ -35,6 +36,9 @@ pub struct RunArgs {
     /// Seed of everything random
     #[arg(long)]
     pub seed: u64,
+    /// Which frames
+    #[command(flatten)]
+    pub playback: PlaybackArgs,
 }
 
 /// What came of one run.
@@ -66,6 +70,7 @@ impl RunArgs {
         if self.deterministic {
             command.arg("--deterministic");
         }
+        command.args(self.playback.words());
         let output =
             command.stdin(Stdio::null()).stderr(Stdio::inherit()).kill_on_drop(true).output().await?;
         ensure!(output.status.success(), "a run of {} failed: {}", self.dataset.display(), output.status);
@@ -94,7 +99,7 @@ impl RunArgs {
 
 /// The process of one run: prints its result as one line.
 pub async fn run_once(args: RunArgs) -> Result<()> {
-    let recording = Recording::open(&args.dataset, args.layout)?;
+    let recording = Recording::open(&args.dataset, args.layout)?.played(&args.playback.playback())?;
     let sequence = recording.name.clone();
     let truth = recording.ground_truth.clone();
     let server = LocalServer::start().await?;

@@ -5,6 +5,7 @@ mod child;
 mod machine;
 mod markdown;
 mod peers;
+mod playback;
 mod statistics;
 
 use std::path::{Path, PathBuf};
@@ -19,6 +20,7 @@ pub use child::{RunArgs, run_once};
 use child::RunResult;
 use machine::Machine;
 use peers::Peer;
+use playback::PlaybackArgs;
 use statistics::Row;
 
 /// What to measure.
@@ -39,6 +41,8 @@ pub struct BenchArgs {
     /// Run every stage in turn on one thread
     #[arg(long)]
     deterministic: bool,
+    #[command(flatten)]
+    playback: PlaybackArgs,
     /// Other systems' figures [default: ../../eval/peers.csv beside the first recording, if it is there]
     #[arg(long, value_name = "FILE")]
     peers: Option<PathBuf>,
@@ -101,7 +105,7 @@ impl Configuration {
 pub async fn run(args: BenchArgs) -> Result<()> {
     // A mistake in the last recording is better known before hours are spent on the others.
     for dataset in &args.datasets {
-        let recording = Recording::open(dataset, args.layout)?;
+        let recording = Recording::open(dataset, args.layout)?.played(&args.playback.playback())?;
         ensure!(recording.ground_truth.is_some(), "{} has no ground truth", dataset.display());
     }
     let peers = read_peers(&args)?;
@@ -140,6 +144,7 @@ async fn measure(args: &BenchArgs, dataset: &Path, configuration: Configuration)
             pace: args.pace,
             deterministic: args.deterministic,
             seed,
+            playback: args.playback,
         };
         let result = run.in_child().await?;
         eprintln!(
@@ -176,5 +181,6 @@ fn command_line(args: &BenchArgs) -> String {
     words.push(format!("--runs {} --pace {}", args.runs, args.pace.name()));
     words.extend(args.ablation.then(|| "--ablation".to_owned()));
     words.extend(args.deterministic.then(|| "--deterministic".to_owned()));
+    words.extend(args.playback.words());
     words.join(" ")
 }
