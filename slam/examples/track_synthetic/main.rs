@@ -9,6 +9,7 @@
 //! | `--backwards` | from the last frame to the first: an error that turns round with the walk is the data's |
 //! | `--engine-seed N` | the engine's random numbers; otherwise the sequence's seed |
 //! | `--no-loops`, `--no-lines`, `--no-primitives` | switches features off |
+//! | `--runs N` | every seed with so many of the engine's; the table shows the medians |
 //! | `--compare-primitives` | runs every seed without and with primitives, and prints a table of both |
 //! | `--directions` | prints primitives and their segments against the truth |
 //! | `--spans` | prints what the stages of local bundle adjustment take |
@@ -27,6 +28,7 @@ mod directions;
 mod places;
 mod recording;
 mod relocalise;
+mod revisit;
 mod run;
 mod score;
 mod spans;
@@ -34,6 +36,7 @@ mod table;
 
 use common::{Arguments, WallClock};
 use recording::Recording;
+use revisit::Revisit;
 use run::Run;
 use score::{Places, Score};
 use slam::{Frame, FrameReport, Pipeline, ResumeState, SlamConfig, Threading};
@@ -60,12 +63,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let with_primitives = !arguments.flag("--no-primitives");
     if arguments.flag("--compare-primitives") {
         let pair = |seed: &u64| {
-            Ok([track(preset, *seed, false, &arguments)?, track(preset, *seed, true, &arguments)?])
+            Ok([runs(preset, *seed, false, &arguments)?, runs(preset, *seed, true, &arguments)?])
         };
         let rows = seeds.iter().map(pair).collect::<Result<Vec<_>, Box<dyn Error>>>()?;
         table::print_comparison(preset, &seeds, &rows);
     } else {
-        let row = |seed: &u64| track(preset, *seed, with_primitives, &arguments);
+        let row = |seed: &u64| runs(preset, *seed, with_primitives, &arguments);
         let rows = seeds.iter().map(row).collect::<Result<Vec<_>, _>>()?;
         if seeds.len() > 1 {
             table::print_table(preset, &seeds, &rows);
@@ -77,9 +80,23 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
+/// One sequence, as often as was asked for.
+fn runs(
+    preset: Preset,
+    seed: u64,
+    with_primitives: bool,
+    arguments: &Arguments,
+) -> Result<Row, Box<dyn Error>> {
+    let n_runs: u64 = arguments.value("--runs").map_or(Ok(1), |n| n.parse())?;
+    let first = arguments.value("--engine-seed").map_or(Ok(seed), |seed| seed.parse())?;
+    let rows = (0..n_runs.max(1)).map(|run| track(preset, seed, first + run, with_primitives, arguments));
+    Ok(Row::median_of(rows.collect::<Result<_, _>>()?))
+}
+
 fn track(
     preset: Preset,
     seed: u64,
+    engine_seed: u64,
     with_primitives: bool,
     arguments: &Arguments,
 ) -> Result<Row, Box<dyn Error>> {
@@ -87,7 +104,6 @@ fn track(
     let value = |name: &str| arguments.value(name);
     let folder = value("--images").map(Path::new);
     let recording = Recording::new(preset, seed, folder, flag("--backwards"));
-    let engine_seed = value("--engine-seed").map_or(Ok(seed), |seed| seed.parse())?;
     let mut config = SlamConfig { seed: engine_seed, ..SlamConfig::default() };
     config.threading = if flag("--inline") { Threading::Inline } else { Threading::Background };
     config.features.loop_closing = !flag("--no-loops");
@@ -117,9 +133,13 @@ fn track(
     if let Some(out) = value("--out") {
         std::fs::write(out, places.to_tum(&recording))?;
     }
+    let revisit = Revisit::of(&map, &recording, n_frames);
     let (n_loops, n_merges) = (run.n_loops, run.n_merges);
     run.print(&map);
     places.print(&recording, n_frames);
+    if let Some(revisit) = &revisit {
+        revisit.print();
+    }
     if flag("--directions") {
         directions::print_primitives(&map, &recording);
         directions::print_segments(&map, &recording);
@@ -134,6 +154,7 @@ fn track(
         n_submaps: places.0.len(),
         n_loops,
         n_merges,
+        revisit,
         ate_share: score.as_ref().map(|score| score.ate / score.path),
         drift_deg: score.as_ref().map(|score| score.rotation_drift_deg),
     })

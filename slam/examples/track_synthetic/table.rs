@@ -1,5 +1,6 @@
 //! The tables of several seeds.
 
+use crate::revisit::Revisit;
 use synthetic::Preset;
 
 /// What became of one sequence, for the table.
@@ -9,27 +10,50 @@ pub struct Row {
     pub n_submaps: usize,
     pub n_loops: usize,
     pub n_merges: usize,
+    /// Where the camera comes back.
+    pub revisit: Option<Revisit>,
     /// Of the largest submap; root mean square error as a share of the path.
     pub ate_share: Option<f64>,
     /// Turn from the first frame to the last, degrees.
     pub drift_deg: Option<f64>,
 }
 
+impl Row {
+    /// Errors and coverage are the medians of several runs; what happened in them is that of the run of median error.
+    pub fn median_of(mut runs: Vec<Self>) -> Self {
+        let value = |of: fn(&Self) -> Option<f64>| median_known(runs.iter().map(of));
+        let (ate_share, drift_deg) = (value(|run| run.ate_share), value(|run| run.drift_deg));
+        let coverage = median(runs.iter().map(|run| run.coverage).collect());
+        runs.sort_by(|a, b| {
+            a.ate_share.unwrap_or(f64::INFINITY).total_cmp(&b.ate_share.unwrap_or(f64::INFINITY))
+        });
+        let middle = runs.swap_remove((runs.len() - 1) / 2);
+        Self { coverage, ate_share, drift_deg, ..middle }
+    }
+}
+
+/// A run without a value counts as infinitely bad.
+fn median_known(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    let middle = median(values.map(|value| value.unwrap_or(f64::INFINITY)).collect());
+    middle.is_finite().then_some(middle)
+}
+
 /// Every seed, and how many are good.
 pub fn print_table(preset: Preset, seeds: &[u64], rows: &[Row]) {
     println!(
-        "\n| {}, seed | coverage | submaps | loops | mergers | ATE, % of the path | drift of the attitude, deg |",
+        "\n| {}, seed | coverage | submaps | loops | mergers | seen again, tied at frame | ATE, % of the path | drift of the attitude, deg |",
         preset.name()
     );
-    println!("| ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
+    println!("| ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
     let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.3}"));
     for (seed, row) in seeds.iter().zip(rows) {
         println!(
-            "| {seed} | {:.3} | {} | {} | {} | {} | {} |",
+            "| {seed} | {:.3} | {} | {} | {} | {} | {} | {} |",
             row.coverage,
             row.n_submaps,
             row.n_loops,
             row.n_merges,
+            row.revisit.as_ref().map_or("-".to_owned(), Revisit::in_table),
             number(row.ate_share.map(|share| 100.0 * share)),
             number(row.drift_deg),
         );
