@@ -139,6 +139,7 @@ impl Pipeline {
         let mut stopwatch = Stopwatch::start(self.clock.clone());
 
         let (view, line_statistics) = self.extract(frame, &mut stopwatch);
+        // A stream that comes as fast as it is taken would run ahead of the map, further than any camera does.
         if self.lossless && self.hangs_on_few {
             self.mapping.wait();
         }
@@ -189,8 +190,8 @@ impl Pipeline {
         self.mapping_enabled = enabled;
     }
 
-    /// How tracking waits for mapping: `true` (the default) waits rather than leave a needed key frame out,
-    /// `false` never waits.
+    /// How tracking waits for mapping: `true` (the default) lets it finish before each frame, while the frame's features are
+    /// looked for, and leaves no key frame out; `false` never waits.
     pub fn set_lossless(&mut self, lossless: bool) {
         self.lossless = lossless;
     }

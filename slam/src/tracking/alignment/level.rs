@@ -1,6 +1,6 @@
 //! Alignment in one resolution, by inverse composition: derivatives are taken in the first image, once.
 
-use super::pyramid::{gradient, grey_level};
+use super::pyramid::{GRADIENT_REACH_PX, gradient, grey_level};
 use crate::config::AlignmentConfig;
 use geometry::nalgebra::{SMatrix, SVector, Vector2, Vector3};
 use geometry::{Camera, Pose};
@@ -53,9 +53,15 @@ struct Prepared {
 pub(super) struct LevelPatches(Vec<Prepared>);
 
 impl LevelPatches {
-    /// Leaves out the patches that are too near to the edge.
-    pub fn prepare((image, camera): (&GrayImage, &Camera), positions: &[Vector3<f64>]) -> Self {
-        Self(positions.iter().filter_map(|position| prepare(image, camera, position)).collect())
+    /// Of the patches that are not too near to the edge at most so many, spread evenly over the order they come in.
+    pub fn prepare(
+        (image, camera): (&GrayImage, &Camera),
+        positions: &[Vector3<f64>],
+        max_patches: usize,
+    ) -> Self {
+        let inside: Vec<_> = positions.iter().filter(|position| is_inside(image, camera, position)).collect();
+        let thinned = inside.iter().step_by(inside.len().div_ceil(max_patches.max(1)).max(1));
+        Self(thinned.filter_map(|position| prepare(image, camera, position)).collect())
     }
 
     pub fn len(&self) -> usize {
@@ -195,6 +201,14 @@ impl Prepared {
         }
         Some(residuals)
     }
+}
+
+/// Whether grey levels and gradients of all pixels of the patch can be had.
+fn is_inside(image: &GrayImage, camera: &Camera, position: &Vector3<f64>) -> bool {
+    let reach = Vector2::repeat(OFFSETS[OFFSETS.len() - 1] + GRADIENT_REACH_PX);
+    camera.project(position).is_some_and(|middle| {
+        [middle - reach, middle + reach].iter().all(|corner| grey_level(image, corner).is_some())
+    })
 }
 
 fn prepare(image: &GrayImage, camera: &Camera, position: &Vector3<f64>) -> Option<Prepared> {

@@ -47,12 +47,11 @@ impl Aligner {
         let coarsest = first.coarsest();
         let finest = usize::from(config.finest_level).min(coarsest);
 
-        let few = LevelPatches::prepare(first.level(coarsest), &thinned(positions, N_SEARCH_PATCHES));
+        let few = LevelPatches::prepare(first.level(coarsest), positions, N_SEARCH_PATCHES);
         let mut motion = self.find_turn(&few, second.level(coarsest), &Motion::new(*expected));
-        let positions = thinned(positions, config.max_patches);
         let mut found_share = None;
         for level in (finest..=coarsest).rev() {
-            let patches = LevelPatches::prepare(first.level(level), &positions);
+            let patches = LevelPatches::prepare(first.level(level), positions, config.max_patches);
             if patches.len() < config.min_patches {
                 return None;
             }
@@ -79,9 +78,4 @@ impl Aligner {
         }
         best.1
     }
-}
-
-/// At most so many, spread evenly over the order they come in.
-fn thinned(positions: &[Vector3<f64>], n_max: usize) -> Vec<Vector3<f64>> {
-    positions.iter().step_by(positions.len().div_ceil(n_max.max(1)).max(1)).copied().collect()
 }

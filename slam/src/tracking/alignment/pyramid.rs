@@ -69,8 +69,13 @@ pub(super) fn grey_level(image: &GrayImage, pixel: &Vector2<f64>) -> Option<f64>
     Some(across(image.row(top)) * (1.0 - lower_share) + across(image.row(top + 1)) * lower_share)
 }
 
+/// How far from a pixel its gradient is taken.
+pub(super) const GRADIENT_REACH_PX: f64 = 0.5;
+
 /// Change of the grey level per pixel, to the right and down.
 pub(super) fn gradient(image: &GrayImage, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
     let at = |x: f64, y: f64| grey_level(image, &(pixel + Vector2::new(x, y)));
-    Some(Vector2::new(at(0.5, 0.0)? - at(-0.5, 0.0)?, at(0.0, 0.5)? - at(0.0, -0.5)?))
+    const REACH: f64 = GRADIENT_REACH_PX;
+    let change = Vector2::new(at(REACH, 0.0)? - at(-REACH, 0.0)?, at(0.0, REACH)? - at(0.0, -REACH)?);
+    Some(change / (2.0 * REACH))
 }
