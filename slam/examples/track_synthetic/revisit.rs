@@ -1,13 +1,15 @@
 //! Coming back: when the camera first sees a place again, and when the map first knows it.
 
 use crate::recording::Recording;
-use slam::{Keyframe, Map};
+use slam::Map;
 
 /// Frames between two visits at least: what is nearer in time was in view all along.
 const MIN_FRAMES_BETWEEN: usize = 600;
 /// Truly as near as this, and turned no more than this, two cameras see the same place.
 const MAX_DISTANCE: f64 = 1.0;
 const MAX_ANGLE_DEG: f64 = 15.0;
+/// Key frames that share points can be as far apart as this down a corridor; places that look alike are farther.
+const MAX_TIE_DISTANCE: f64 = 5.0;
 /// Points that two key frames must share to be tied.
 const MIN_SHARED_POINTS: u32 = 15;
 
@@ -15,8 +17,10 @@ const MIN_SHARED_POINTS: u32 = 15;
 pub struct Revisit {
     /// The first frame that truly shows a place left long before.
     pub shown: usize,
-    /// The first key frame that shares points with one of the first visit.
+    /// The first key frame, in the map as it is in the end, that shares points with one of the first visit.
     pub tied: Option<usize>,
+    /// Key frames that share points with one of long before and of another place.
+    pub n_false: usize,
 }
 
 impl Revisit {
@@ -26,37 +30,43 @@ impl Revisit {
             (0..now.saturating_sub(MIN_FRAMES_BETWEEN)).any(|before| is_near(recording, *now, before))
         };
         let shown = (0..n_frames).find(is_revisit)?;
-        let index = |keyframe: &Keyframe| keyframe.sequence as usize;
-        let is_tied = |keyframe: &&Keyframe| {
-            keyframe.covisible().iter().any(|(id, n_shared)| {
-                let other = map.keyframe(*id).map(index);
-                *n_shared >= MIN_SHARED_POINTS
-                    && other.is_some_and(|other| other + MIN_FRAMES_BETWEEN < index(keyframe))
-            })
-        };
-        Some(Self { shown, tied: map.keyframes().filter(is_tied).map(index).min() })
+        let mut revisit = Self { shown, tied: None, n_false: 0 };
+        for keyframe in map.keyframes() {
+            let now = keyframe.sequence as usize;
+            let tied = keyframe.covisible().iter().filter(|(_, n_shared)| *n_shared >= MIN_SHARED_POINTS);
+            let tied = tied.filter_map(|(id, _)| Some(map.keyframe(*id)?.sequence as usize));
+            let distances = tied
+                .filter(|before| before + MIN_FRAMES_BETWEEN < now)
+                .map(|before| distance(recording, now, before));
+            let Some(nearest) = distances.reduce(f64::min) else { continue };
+            if nearest > MAX_TIE_DISTANCE {
+                revisit.n_false += 1;
+            } else {
+                revisit.tied = Some(revisit.tied.map_or(now, |tied| tied.min(now)));
+            }
+        }
+        Some(revisit)
     }
 
     pub fn in_table(&self) -> String {
-        format!("{}, {}", self.shown, self.tied.map_or("-".to_owned(), |tied| tied.to_string()))
+        let tied = self.tied.map_or("-".to_owned(), |tied| tied.to_string());
+        let falsely = if self.n_false > 0 { format!(" ({} false)", self.n_false) } else { String::new() };
+        format!("{}, {tied}{falsely}", self.shown)
     }
 
     pub fn print(&self) {
-        match self.tied {
-            Some(tied) => println!(
-                "a place is seen again from frame {} on, and tied to the first visit at frame {tied}",
-                self.shown
-            ),
-            None => println!(
-                "a place is seen again from frame {} on, but not tied to the first visit",
-                self.shown
-            ),
-        }
+        println!(
+            "a place is seen again from frame on, tied to the first visit at frame: {}",
+            self.in_table()
+        );
     }
 }
 
 fn is_near(recording: &Recording, a: usize, b: usize) -> bool {
-    let (a, b) = (recording.camera_from_world(a), recording.camera_from_world(b));
-    (a.centre() - b.centre()).norm() <= MAX_DISTANCE
-        && a.rotation.angle_to(&b.rotation).to_degrees() <= MAX_ANGLE_DEG
+    let angle = recording.camera_from_world(a).rotation.angle_to(&recording.camera_from_world(b).rotation);
+    distance(recording, a, b) <= MAX_DISTANCE && angle.to_degrees() <= MAX_ANGLE_DEG
+}
+
+fn distance(recording: &Recording, a: usize, b: usize) -> f64 {
+    (recording.camera_from_world(a).centre() - recording.camera_from_world(b).centre()).norm()
 }

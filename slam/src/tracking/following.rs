@@ -28,32 +28,34 @@ pub(super) struct LastFrame {
     pub motion: Option<(Pose, i64)>,
 }
 
+/// A frame that was followed from the one before, and how many landmarks agree with its pose.
+struct Followed {
+    frame: TrackedFrame,
+    n_inliers: usize,
+}
+
 impl Tracker {
     /// By the motion so far, or, where little is found by that, by what the reference key frame sees or by the images.
     pub(super) fn follow(&self, last: &LastFrame, view: &View, map: &Map) -> Option<TrackedFrame> {
         let predicted = last.predict(view.timestamp_ns);
         let mut frame = TrackedFrame::blank(view, predicted, last.frame.reference, last.frame.submap);
         self.primitive_tracks.associate(&mut frame, map);
-        let is_enough = |found: &Option<(TrackedFrame, usize)>| {
-            found.as_ref().is_some_and(|(_, n_inliers)| *n_inliers >= self.config.tracking.min_motion_matches)
+        let is_enough = |found: &Option<Followed>| {
+            found.as_ref().is_some_and(|found| found.n_inliers >= self.config.tracking.min_motion_matches)
         };
-        let by_motion = self.follow_motion(last, frame.clone(), map);
+        let by_motion =
+            last.motion.is_some().then(|| self.follow_prediction(last, frame.clone(), map)).flatten();
         if is_enough(&by_motion) {
-            return by_motion.map(|(frame, _)| frame);
+            return by_motion.map(|found| found.frame);
         }
         let by_reference = self.follow_reference(last, frame.clone(), map);
         let by_image = if is_enough(&by_reference) { None } else { self.follow_image(last, frame, map) };
         let found = [by_motion, by_reference, by_image];
-        found.into_iter().flatten().max_by_key(|(_, n_inliers)| *n_inliers).map(|(frame, _)| frame)
+        found.into_iter().flatten().max_by_key(|found| found.n_inliers).map(|found| found.frame)
     }
 
-    /// Points of the last frame, looked for where the images show that the camera moved.
-    fn follow_image(
-        &self,
-        last: &LastFrame,
-        mut frame: TrackedFrame,
-        map: &Map,
-    ) -> Option<(TrackedFrame, usize)> {
+    /// Landmarks of the last frame, looked for where the images show that the camera moved.
+    fn follow_image(&self, last: &LastFrame, mut frame: TrackedFrame, map: &Map) -> Option<Followed> {
         let (before, now) = (last.image.as_ref()?, self.image.as_ref()?);
         let last_from_world = last.frame.camera_from_world;
         let expected = frame.camera_from_world * last_from_world.inverse();
@@ -63,77 +65,52 @@ impl Tracker {
         self.follow_prediction(last, frame, map)
     }
 
-    /// Points of the last frame, projected to where the motion so far would take them. Returns how many agree.
-    fn follow_motion(
-        &self,
-        last: &LastFrame,
-        frame: TrackedFrame,
-        map: &Map,
-    ) -> Option<(TrackedFrame, usize)> {
-        last.motion.as_ref()?;
-        self.follow_prediction(last, frame, map)
-    }
-
-    /// Landmarks of the last frame, looked for where the frame's pose so far puts them. Returns how many agree.
-    fn follow_prediction(
-        &self,
-        last: &LastFrame,
-        mut frame: TrackedFrame,
-        map: &Map,
-    ) -> Option<(TrackedFrame, usize)> {
+    /// Landmarks of the last frame, looked for where the frame's pose so far puts them.
+    fn follow_prediction(&self, last: &LastFrame, mut frame: TrackedFrame, map: &Map) -> Option<Followed> {
         let config = &self.config.tracking;
-        let expected = || {
-            last.frame.points.iter().enumerate().filter_map(|(idx, id)| {
+        let features = frame.features.clone();
+        let radius = config.motion_search_radius_px;
+        for radius in [radius, 2.0 * radius] {
+            frame.points.fill(None);
+            let expected = last.frame.points.iter().enumerate().filter_map(|(idx, id)| {
                 let point = map.point((*id)?)?;
                 let keypoint = &last.frame.features.keypoints[idx];
                 let descriptor = &point.descriptor;
                 Some(Expected { point, octave: keypoint.octave, angle: keypoint.angle, descriptor })
-            })
-        };
-        let features = frame.features.clone();
-        let radius = config.motion_search_radius_px;
-        let mut n_matches =
-            search_by_motion(&features, &frame.camera_from_world, expected(), radius, &mut frame.points);
-        if n_matches < config.min_motion_matches {
-            frame.points.fill(None);
-            n_matches = search_by_motion(
-                &features,
-                &frame.camera_from_world,
-                expected(),
-                2.0 * radius,
-                &mut frame.points,
-            );
+            });
+            let pose = &frame.camera_from_world;
+            if search_by_motion(&features, pose, expected, radius, &mut frame.points)
+                >= config.min_motion_matches
+            {
+                break;
+            }
         }
-        self.line_tracks.associate(&mut frame, map, &self.config.lines);
-        let n_matches = n_matches + frame.lines.iter().flatten().count();
-        if n_matches < config.min_first_inliers {
-            return None;
-        }
-        let n_inliers = place_frame(&mut frame, map, &self.config.primitives).inliers.total();
-        (n_inliers >= config.min_first_inliers).then_some((frame, n_inliers))
+        self.place_followed(frame, map)
     }
 
-    /// Points of the reference key frame, recognised by their descriptors, starting from the last pose. Returns how many
-    /// agree.
-    fn follow_reference(
-        &self,
-        last: &LastFrame,
-        mut frame: TrackedFrame,
-        map: &Map,
-    ) -> Option<(TrackedFrame, usize)> {
-        let config = &self.config.tracking;
+    /// Points of the reference key frame, recognised by their descriptors, starting from the last pose.
+    fn follow_reference(&self, last: &LastFrame, mut frame: TrackedFrame, map: &Map) -> Option<Followed> {
         let reference = map.keyframe(last.frame.reference)?;
         let matches = match_keyframe(reference, &frame.features);
-        if matches.len() < config.min_reference_matches {
+        if matches.len() < self.config.tracking.min_reference_matches {
             return None;
         }
         frame.camera_from_world = last.frame.camera_from_world;
         for (feature_idx, id) in matches {
             frame.points[feature_idx] = Some(id);
         }
+        self.place_followed(frame, map)
+    }
+
+    /// Adds the lines that the frame's segments are known to be of, and places it by all of it.
+    fn place_followed(&self, mut frame: TrackedFrame, map: &Map) -> Option<Followed> {
+        let n_required = self.config.tracking.min_first_inliers;
         self.line_tracks.associate(&mut frame, map, &self.config.lines);
+        if frame.points.iter().flatten().count() + frame.lines.iter().flatten().count() < n_required {
+            return None;
+        }
         let n_inliers = place_frame(&mut frame, map, &self.config.primitives).inliers.total();
-        (n_inliers >= config.min_first_inliers).then_some((frame, n_inliers))
+        (n_inliers >= n_required).then_some(Followed { frame, n_inliers })
     }
 
     /// Finds more of what is near and places the frame by all of it. Returns how many points could have been found, too.
