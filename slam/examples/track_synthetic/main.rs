@@ -11,6 +11,7 @@
 //! | `--no-loops`, `--no-lines`, `--no-primitives` | switches features off |
 //! | `--runs N` | every seed with so many of the engine's; the table shows the medians |
 //! | `--compare-primitives` | runs every seed without and with primitives, and prints a table of both |
+//! | `--segments` | only prints how far segments lie from the true edges |
 //! | `--directions` | prints primitives and their segments against the truth |
 //! | `--spans` | prints what the stages of local bundle adjustment take |
 //! | `--relocalise CONTRAST` | then looks for single frames of that contrast in the map |
@@ -31,6 +32,7 @@ mod relocalise;
 mod revisit;
 mod run;
 mod score;
+mod segments;
 mod spans;
 mod table;
 
@@ -60,6 +62,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     if arguments.flag("--spans") {
         tracing::subscriber::set_global_default(spans.clone())?;
     }
+    if arguments.flag("--segments") {
+        return seeds.iter().try_for_each(|seed| segments_of(preset, *seed, &arguments));
+    }
     let with_primitives = !arguments.flag("--no-primitives");
     if arguments.flag("--compare-primitives") {
         let pair = |seed: &u64| {
@@ -78,6 +83,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         spans.print();
     }
     Ok(())
+}
+
+fn segments_of(preset: Preset, seed: u64, arguments: &Arguments) -> Result<(), Box<dyn Error>> {
+    let folder = arguments.value("--images").map(Path::new);
+    let recording = Recording::new(preset, seed, folder, arguments.flag("--backwards"));
+    let n_frames = arguments.value("--frames").map_or(Ok(recording.len()), |n| n.parse())?;
+    let mut detector = vision::lines::detector(SlamConfig::default().lines.detector)?;
+    println!("\n{} {seed}\n", preset.name());
+    segments::print_offsets(&recording, detector.as_mut(), n_frames.min(recording.len()))
 }
 
 /// One sequence, as often as was asked for.

@@ -1,5 +1,6 @@
 //! A rendered sequence whose images are kept for the next run, and which may be played backwards.
 
+use geometry::nalgebra::Vector2;
 use geometry::{Camera, Pose};
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -40,6 +41,15 @@ impl Recording {
     /// Of frame `index` as played.
     pub fn camera_from_world(&self, index: usize) -> Pose {
         self.sequence.camera_from_world(self.rendered(index))
+    }
+
+    /// The visible edges of frame `index` as played with more contrast than that, ends in pixels without lens distortion.
+    pub fn edges(&self, index: usize, min_contrast: f64) -> Vec<[Vector2<f64>; 2]> {
+        let seen = self.sequence.visible_segments(self.rendered(index)).into_iter();
+        let undistort = |pixel: &Vector2<f64>| self.camera().undistort(pixel);
+        seen.filter(|edge| edge.contrast >= min_contrast)
+            .filter_map(|edge| Some([undistort(&edge.ends_px[0])?, undistort(&edge.ends_px[1])?]))
+            .collect()
     }
 
     /// Renders frame `index` as played, or takes it from where it was kept.

@@ -11,6 +11,7 @@ mod lsd;
 mod matching;
 mod merging;
 mod moments;
+mod profile;
 mod refine;
 mod sampling;
 mod segment;
