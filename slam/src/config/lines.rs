@@ -20,8 +20,8 @@ pub struct LineConfig {
     pub max_descriptor_distance: u32,
     /// Views in which a line must have been tracked to be made. Default 3: any two views agree on some line.
     pub min_views: usize,
-    /// Least angle between the interpretation planes of a new line's best two views, degrees. Default 1.0, as for points:
-    /// below it the errors of the poses themselves decide the depth.
+    /// Least angle between the interpretation planes of a new line's best two views, degrees. Default 0.5: a segment's place
+    /// is known five times as well as a keypoint's, and where there is little else, lines made early hold the scale.
     pub min_plane_angle_deg: f64,
     /// Largest standard deviation of a new line's depth at its ends, as a share of the depth. Default 0.2: it grows
     /// without bound where the segments lie along the epipolar lines.
@@ -61,7 +61,7 @@ impl Default for LineConfig {
             min_search_overlap: 0.3,
             max_descriptor_distance: 90,
             min_views: 3,
-            min_plane_angle_deg: 1.0,
+            min_plane_angle_deg: 0.5,
             max_depth_sigma_share: 0.2,
             max_midpoint_distance: 1.5,
             max_end_distance_px: 4.0,

@@ -371,7 +371,8 @@ pub struct MappingConfig {
     pub n_triangulation_neighbours: usize,
     /// Baseline as a share of the scene's median depth below which no point is made. Default 0.01.
     pub min_baseline_share: f64,
-    /// Parallax below which no point is made, degrees. Default 1.0 (cosine 0.9998).
+    /// Parallax below which no point is made, degrees. Default 0.7: half a pixel of error is then a tenth of the depth at
+    /// usual focal lengths, and turning slowly past a bare wall gives no more.
     pub min_parallax_deg: f64,
     /// Best match's distance as a share of the second best's along the epipolar line. Default 0.8.
     pub match_ratio: f32,
@@ -399,7 +400,7 @@ impl Default for MappingConfig {
             min_covisible_points: 15,
             n_triangulation_neighbours: 20,
             min_baseline_share: 0.01,
-            min_parallax_deg: 1.0,
+            min_parallax_deg: 0.7,
             match_ratio: 0.8,
             n_fusion_neighbours: 20,
             fusion_radius_px: 3.0,
