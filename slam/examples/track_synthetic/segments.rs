@@ -37,7 +37,9 @@ pub fn print_offsets(
             offsets[row.unwrap_or(offsets.len() - 1)].push(offset);
         }
     }
-    println!("| next edge, px | segments | mean offset, px | median | median deviation | nine of ten within |");
+    println!(
+        "| next edge, px | segments | mean offset, px | median | median deviation | nine of ten within |"
+    );
     println!("| ---: | ---: | ---: | ---: | ---: | ---: |");
     for (row, offsets) in offsets.iter_mut().enumerate().filter(|(_, offsets)| !offsets.is_empty()) {
         let n = offsets.len();

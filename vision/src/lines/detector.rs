@@ -7,9 +7,9 @@ use crate::lines::edge_drawing::EdgeDrawing;
 use crate::lines::gradient::Gradients;
 use crate::lines::lsd::Lsd;
 use crate::lines::refine::Refiner;
-use crate::lines::profile;
 use crate::lines::sampling::Sampler;
 use crate::lines::select;
+use crate::lines::sharpen::sharpen;
 
 /// Finds line segments; keeps its buffers from image to image, hence `&mut`.
 pub trait SegmentDetector: Send {
@@ -178,7 +178,7 @@ impl<D: RawDetector> SegmentDetector for ForSlam<D> {
                 break;
             }
             let Some(refined) = self.refiner.refine(&self.gradients, ends) else { continue };
-            let refined = profile::sharpen(&Sampler::new(image), &refined);
+            let refined = sharpen(&Sampler::new(image), &refined);
             let Some(segment) = frame.clip(&refined) else { continue };
             let is_line = segment.sigma_px <= config.max_sigma_px && segment.length() >= min_length_px;
             if is_line && !segments.iter().any(|kept| select::is_repeated(kept, &segment)) {

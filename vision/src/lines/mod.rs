@@ -11,11 +11,11 @@ mod lsd;
 mod matching;
 mod merging;
 mod moments;
-mod profile;
 mod refine;
 mod sampling;
 mod segment;
 mod select;
+mod sharpen;
 mod support;
 #[cfg(test)]
 mod test_scenes;
