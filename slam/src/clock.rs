@@ -1,5 +1,6 @@
 //! Time as the engine sees it: handed in from outside, so that the engine itself reads no clock.
 
+use crate::beside::beside;
 use crate::report::StageTime;
 
 /// A source of times for the stage timings in the reports.
@@ -56,6 +57,31 @@ impl Stopwatch {
         let now = self.clock.wall_ns();
         self.stages.push(StageTime { name, wall_ns: now.saturating_sub(self.lap_start_ns) });
         self.lap_start_ns = now;
+    }
+
+    /// A stage of its own.
+    pub fn time<T>(&mut self, name: &'static str, stage: impl FnOnce() -> T) -> T {
+        let result = stage();
+        self.lap(name);
+        result
+    }
+
+    /// Two stages beside each other, the second on a thread of its own if there can be one. Each is given the time it took.
+    pub fn time_both<A, B: Send>(
+        &mut self,
+        (first_name, first): (&'static str, impl FnOnce() -> A),
+        (second_name, second): (&'static str, impl FnOnce() -> B + Send),
+    ) -> (A, B) {
+        let clock = self.clock.clone();
+        let timed_second = move || {
+            let start_ns = clock.wall_ns();
+            let result = second();
+            (result, clock.wall_ns().saturating_sub(start_ns))
+        };
+        let (first, (second, wall_ns)) = beside(second_name, || self.time(first_name, first), timed_second);
+        self.stages.push(StageTime { name: second_name, wall_ns });
+        self.lap_start_ns = self.clock.wall_ns();
+        (first, second)
     }
 
     pub fn finish(self) -> FrameTimes {

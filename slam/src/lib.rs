@@ -3,6 +3,7 @@
 //! Start reading at [`Pipeline`]. It does no I/O and reads no clock; time and seeds come in as arguments.
 
 mod backfill;
+mod beside;
 pub mod bundle;
 pub mod clock;
 pub mod config;

@@ -151,8 +151,7 @@ impl Pipeline {
             verdict = self.initialise(&view, verdict.n_candidates);
             stopwatch.lap("initialise");
         }
-        self.hangs_on_few =
-            verdict.frame.is_some() && verdict.inliers.total() < self.config.tracking.comfortable_inliers;
+        self.hangs_on_few = verdict.frame.is_some() && self.config.is_few(verdict.inliers.total());
         self.record(&view, &verdict);
         verdict.is_keyframe |= self.extend(&verdict);
         stopwatch.lap("extend");
@@ -222,12 +221,9 @@ impl Pipeline {
 
     fn extract(&mut self, frame: Frame, stopwatch: &mut Stopwatch) -> (View, LineTrackingStatistics) {
         let image = Arc::new(self.front_end.working_image(frame.image));
-        let features = self.front_end.extract_points(&image);
-        stopwatch.lap("points");
         let rotation = self.tracker.expected_rotation(frame.timestamp_ns);
-        let (features, statistics) = self.front_end.extract_lines(&image, features, rotation);
+        let (features, statistics) = self.front_end.extract(&image, rotation, stopwatch);
         self.tracker.see(image);
-        stopwatch.lap("lines");
         let (sequence, timestamp_ns) = (frame.sequence, frame.timestamp_ns);
         (View { sequence, timestamp_ns, features: Arc::new(features) }, statistics)
     }

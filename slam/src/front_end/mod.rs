@@ -2,7 +2,8 @@
 
 mod lines;
 
-use crate::config::{ConfigError, SlamConfig};
+use crate::clock::Stopwatch;
+use crate::config::{ConfigError, SlamConfig, Threading};
 use crate::features::FrameFeatures;
 use geometry::Camera;
 use geometry::nalgebra::UnitQuaternion;
@@ -44,20 +45,29 @@ impl FrontEnd {
         scale::resize_area(&image, width, height)
     }
 
-    /// The keypoints of an image of the working size.
-    pub fn extract_points(&mut self, image: &GrayImage) -> FrameFeatures {
-        FrameFeatures::from_extracted(self.extractor.extract(image), &self.camera, self.config.pyramid())
-    }
-
-    /// Adds the lines of the same image. `now_from_last` is the rotation since the last image, as far as it is known.
-    pub fn extract_lines(
+    /// Keypoints and lines of an image of the working size, looked for beside each other unless all is to be inline.
+    /// `now_from_last` is the rotation since the last image, as far as it is known.
+    pub fn extract(
         &mut self,
         image: &GrayImage,
-        features: FrameFeatures,
         now_from_last: Option<UnitQuaternion<f64>>,
+        stopwatch: &mut Stopwatch,
     ) -> (FrameFeatures, LineTrackingStatistics) {
-        let Some(lines) = &mut self.lines else { return (features, LineTrackingStatistics::default()) };
-        let (lines, statistics) = lines.extract(image, now_from_last);
+        let Self { camera, config, extractor, lines } = self;
+        let pyramid = config.pyramid();
+        let extract_points = || FrameFeatures::from_extracted(extractor.extract(image), camera, pyramid);
+        let Some(lines) = lines else {
+            return (stopwatch.time("points", extract_points), LineTrackingStatistics::default());
+        };
+        let extract_lines = || lines.extract(image, now_from_last);
+        let (features, (lines, statistics)) = match config.threading {
+            Threading::Inline => {
+                (stopwatch.time("points", extract_points), stopwatch.time("lines", extract_lines))
+            }
+            Threading::Background => {
+                stopwatch.time_both(("points", extract_points), ("lines", extract_lines))
+            }
+        };
         (features.with_lines(lines), statistics)
     }
 }
