@@ -3,6 +3,7 @@
 use super::estimate::{estimate_direction, in_world, sigma_rad};
 use crate::config::PrimitiveConfig;
 use crate::map::{GlobalPrimitive, Keyframe, KeyframeId, Map, PrimitiveId, PrimitiveObservation};
+use geometry::Direction;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Gives the key frame's vanishing points the primitives they show: by the lines they share, then by angle, one to one.
@@ -100,7 +101,7 @@ fn sharing_keyframes(
         primitive.submap == keyframe.submap
             && primitive.direction.angle(&direction).to_degrees() < config.max_gate_deg
     };
-    if map.primitives().any(is_near) {
+    if map.primitives().any(is_near) || is_contradicted(map, keyframe, vanishing_idx, &direction, config) {
         return None;
     }
     let own_sigma = sigma_rad(&keyframe.vanishing[vanishing_idx as usize].covariance);
@@ -126,4 +127,23 @@ fn sharing_keyframes(
     let n_keyframes = sharing.iter().map(|seen| seen.keyframe).collect::<BTreeSet<_>>().len();
     (n_keyframes >= config.min_keyframes && most_segments >= config.min_segments)
         .then_some((keyframe.submap, sharing))
+}
+
+/// Whether more of the lines behind a vanishing point's segments run another way in space than run towards it: edges that
+/// only seem to meet, from where the camera stands.
+fn is_contradicted(
+    map: &Map,
+    keyframe: &Keyframe,
+    vanishing_idx: u32,
+    direction: &Direction,
+    config: &PrimitiveConfig,
+) -> bool {
+    let segments = &keyframe.vanishing[vanishing_idx as usize].segments;
+    let lines = segments.iter().filter_map(|idx| map.line(keyframe.lines[*idx as usize]?));
+    let max_sine = config.max_gate_deg.to_radians().sin();
+    let (n_along, n_across) = lines.fold((0, 0), |(n_along, n_across), line| {
+        let is_along = direction.as_vector().cross(line.line.direction()).norm() <= max_sine;
+        (n_along + usize::from(is_along), n_across + usize::from(!is_along))
+    });
+    n_across > n_along
 }
