@@ -3,7 +3,7 @@
 use geometry::Similarity;
 use geometry::nalgebra::Vector3;
 use slam::map::FrameRecord;
-use slam::{Frame, FrameReport, MapEvent, NoClock, Pipeline, ResumeState, SlamConfig, Threading};
+use slam::{Frame, FrameReport, MapEvent, MapUpdate, NoClock, Pipeline, ResumeState, SlamConfig, Threading};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use synthetic::{Preset, Sequence};
@@ -58,7 +58,17 @@ impl Session {
     }
 
     fn store(&mut self) {
-        for update in self.pipeline.take_updates() {
+        let updates = self.pipeline.take_updates();
+        self.store_all(updates);
+    }
+
+    fn finish(&mut self) {
+        let updates = self.pipeline.finish();
+        self.store_all(updates);
+    }
+
+    fn store_all(&mut self, updates: Vec<MapUpdate>) {
+        for update in updates {
             update.map.check().unwrap();
             self.records.extend(update.frames.iter().map(|record| (record.sequence, *record)));
         }
@@ -105,8 +115,7 @@ fn a_covered_lens_begins_a_submap_that_is_merged_when_the_two_meet() {
             merged = Some(view);
         }
     }
-    session.pipeline.finish();
-    session.store();
+    session.finish();
     let map = session.pipeline.map();
     map.check().unwrap();
 
