@@ -53,8 +53,6 @@ pub struct Pipeline {
     last_frame: Option<(u64, i64)>,
     mapping_enabled: bool,
     lossless: bool,
-    /// Whether the last frame was placed by so few landmarks that the next one needs what mapping is making.
-    hangs_on_few: bool,
 }
 
 /// What a frame came to, before it is put into words.
@@ -122,7 +120,6 @@ impl Pipeline {
             last_frame: state.last_frame,
             mapping_enabled: true,
             lossless: true,
-            hangs_on_few: false,
             config,
         };
         pipeline.choose_n_features();
@@ -139,8 +136,9 @@ impl Pipeline {
         let mut stopwatch = Stopwatch::start(self.clock.clone());
 
         let (view, line_statistics) = self.extract(frame, &mut stopwatch);
-        // A stream that comes as fast as it is taken would run ahead of the map, further than any camera does.
-        if self.lossless && self.hangs_on_few {
+        // A stream that comes as fast as it is taken would run ahead of the map, further than any camera does: where new texture
+        // is all there is, what the newest key frames add decides the scale.
+        if self.lossless {
             self.mapping.wait();
         }
         self.adopt_map();
@@ -151,7 +149,6 @@ impl Pipeline {
             verdict = self.initialise(&view, verdict.n_candidates);
             stopwatch.lap("initialise");
         }
-        self.hangs_on_few = verdict.frame.is_some() && self.config.is_few(verdict.inliers.total());
         self.record(&view, &verdict);
         verdict.is_keyframe |= self.extend(&verdict);
         stopwatch.lap("extend");

@@ -216,12 +216,6 @@ pub struct TrackingConfig {
     pub keyframe_sigma_factor: f64,
     /// How many times as uncertain a weak pose may be; beyond it the camera is lost. Default 5.
     pub weak_sigma_factor: f64,
-    /// With fewer landmarks than this share of the keypoints asked for, tracking waits for mapping to finish before the next
-    /// frame, unless frames may be dropped: a stream that comes as fast as it is taken runs ahead of the map, and where new
-    /// texture is all there is, what the newest key frames add decides the scale. Default 0.25: on POV office 7 of 21 runs
-    /// slipped at 0.06 (0.05 to 0.36 m off), 2 of 10 at 0.15, none of 10 at 0.25; textured places have more and are not
-    /// slowed down.
-    pub comfortable_share: f64,
     /// For how long a camera that was lost is looked for where it was heading, nanoseconds. Default 0.5 s: then people
     /// have turned.
     pub max_coasting_ns: i64,
@@ -255,7 +249,6 @@ impl Default for TrackingConfig {
             max_position_sigma_share: 0.01,
             keyframe_sigma_factor: 1.5,
             weak_sigma_factor: 5.0,
-            comfortable_share: 0.25,
             max_coasting_ns: 500_000_000,
         }
     }
@@ -426,11 +419,6 @@ pub struct ConfigError {
 }
 
 impl SlamConfig {
-    /// Whether tracking should wait for more landmarks than it found, if it can.
-    pub(crate) fn is_few(&self, n_inliers: usize) -> bool {
-        (n_inliers as f64) < self.tracking.comfortable_share * self.orb.n_features as f64
-    }
-
     /// Checks that every field can be used.
     ///
     /// # Errors
