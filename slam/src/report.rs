@@ -223,7 +223,7 @@ impl MapEvent {
     }
 }
 
-/// Wall time a named stage took.
+/// Wall time a named stage took. The stage `lines` may run beside `points`, on a thread of its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StageTime {
     /// Name of the stage, such as `extract`.
