@@ -3,8 +3,8 @@
 use nalgebra::{Matrix2x3, Vector2, Vector3};
 use thiserror::Error;
 
-use crate::Pinhole;
 use crate::distortion::{Distortion, Fov, KannalaBrandt, Radtan};
+use crate::{Pinhole, PinholeCorrection};
 
 /// Rays further than this from the optical axis are not undistorted: at 80 degrees one pixel of a fisheye image
 /// already covers 33 of the ideal pinhole, and at 90 the pinhole has no image at all.
@@ -87,7 +87,9 @@ pub struct CameraError {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     parameters: CameraParameters,
-    pinhole: Pinhole,
+    /// Of the calibration: what the lens model is written in.
+    nominal: Pinhole,
+    correction: PinholeCorrection,
     distortion: Distortion,
 }
 
@@ -114,7 +116,8 @@ impl Camera {
             }
             CameraModel::Fov => Distortion::Fov(Fov::new(d[0])),
         };
-        Self { pinhole: Pinhole { fx, fy, cx, cy }, distortion, parameters }
+        let correction = PinholeCorrection::default();
+        Self { nominal: Pinhole { fx, fy, cx, cy }, correction, distortion, parameters }
     }
 
     /// The calibration.
@@ -134,13 +137,39 @@ impl Camera {
         self.parameters.height
     }
 
-    /// The ideal camera with the same focal lengths and principal point.
+    /// The ideal camera with the focal lengths and principal point of the calibration. Undistorted pixels are its pixels.
     #[inline]
-    pub fn pinhole(&self) -> Pinhole {
-        self.pinhole
+    pub fn nominal_pinhole(&self) -> Pinhole {
+        self.nominal
     }
 
-    /// Whether this camera differs from [`pinhole`](Self::pinhole).
+    /// The ideal camera that sees the undistorted pixels: the nominal one, corrected.
+    #[inline]
+    pub fn pinhole(&self) -> Pinhole {
+        self.correction.apply(&self.nominal)
+    }
+
+    /// This camera with another correction of its calibration. Undistorted pixels stay as they are, only the rays they
+    /// belong to change.
+    #[must_use]
+    pub fn with_correction(&self, correction: PinholeCorrection) -> Self {
+        Self { correction, ..self.clone() }
+    }
+
+    /// The calibration with the focal lengths and the principal point put right. Exact without lens distortion; with it the
+    /// same to first order, as the lens model is written in the nominal ones.
+    pub fn corrected_parameters(&self) -> CameraParameters {
+        let Pinhole { fx, fy, cx, cy } = self.pinhole();
+        CameraParameters { fx, fy, cx, cy, ..self.parameters.clone() }
+    }
+
+    /// How the camera differs from its calibration.
+    #[inline]
+    pub fn correction(&self) -> PinholeCorrection {
+        self.correction
+    }
+
+    /// Whether the lens bends what an ideal camera would see straight.
     #[inline]
     pub fn is_distorted(&self) -> bool {
         match self.parameters.model {
@@ -154,7 +183,14 @@ impl Camera {
     /// behind the camera or outside the field where the model is one-to-one.
     #[inline]
     pub fn project(&self, point_in_camera: &Vector3<f64>) -> Option<Vector2<f64>> {
-        self.distortion.project(point_in_camera).map(|p| self.pinhole.denormalised(&p))
+        if self.correction.is_none() {
+            return self.project_nominal(point_in_camera);
+        }
+        self.project_nominal(&(self.correction.nominal_from_corrected() * point_in_camera))
+    }
+
+    fn project_nominal(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        self.distortion.project(point).map(|p| self.nominal.denormalised(&p))
     }
 
     /// As [`project`](Self::project), with the derivative of the pixel by the point.
@@ -163,19 +199,29 @@ impl Camera {
         &self,
         point_in_camera: &Vector3<f64>,
     ) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
-        let (p, mut jacobian) = self.distortion.project_with_jacobian(point_in_camera)?;
+        let nominal_from_corrected = self.correction.nominal_from_corrected();
+        let (p, mut jacobian) =
+            self.distortion.project_with_jacobian(&(nominal_from_corrected * point_in_camera))?;
         for column in 0..3 {
-            jacobian[(0, column)] *= self.pinhole.fx;
-            jacobian[(1, column)] *= self.pinhole.fy;
+            jacobian[(0, column)] *= self.nominal.fx;
+            jacobian[(1, column)] *= self.nominal.fy;
         }
-        Some((self.pinhole.denormalised(&p), jacobian))
+        Some((self.nominal.denormalised(&p), jacobian * nominal_from_corrected))
     }
 
     /// The unit vector, in the camera frame, towards what is seen at `pixel`. `None` where the model has no
     /// unique answer.
     #[inline]
     pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
-        self.distortion.unproject(&self.pinhole.normalised(pixel))
+        let nominal = self.unproject_nominal(pixel)?;
+        if self.correction.is_none() {
+            return Some(nominal);
+        }
+        Some((self.correction.corrected_from_nominal() * nominal).normalize())
+    }
+
+    fn unproject_nominal(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
+        self.distortion.unproject(&self.nominal.normalised(pixel))
     }
 
     /// Where the ideal pinhole sees what this camera sees at `pixel`. `None` further than
@@ -185,16 +231,16 @@ impl Camera {
         if self.distortion == Distortion::None {
             return (pixel.x.is_finite() && pixel.y.is_finite()).then_some(*pixel);
         }
-        let bearing = self.unproject(pixel)?;
-        (bearing.z > MAX_UNDISTORTED_ANGLE_DEG.to_radians().cos()).then(|| self.pinhole.project(&bearing))
+        let bearing = self.unproject_nominal(pixel)?;
+        (bearing.z > MAX_UNDISTORTED_ANGLE_DEG.to_radians().cos()).then(|| self.nominal.project(&bearing))
     }
 
     /// Where this camera sees what the ideal pinhole sees at `pixel`; the inverse of
     /// [`undistort`](Self::undistort).
     #[inline]
     pub fn distort(&self, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
-        let p = self.pinhole.normalised(pixel);
-        self.project(&Vector3::new(p.x, p.y, 1.0))
+        let p = self.nominal.normalised(pixel);
+        self.project_nominal(&Vector3::new(p.x, p.y, 1.0))
     }
 
     /// Least and greatest coordinates of the undistorted image, from its border. Parts of the border outside
@@ -205,8 +251,8 @@ impl Camera {
         let mut high = Vector2::repeat(f64::NEG_INFINITY);
         for pixel in self.border() {
             let undistorted = self.undistort(&pixel).unwrap_or_else(|| {
-                let outwards = self.pinhole.normalised(&pixel).normalize();
-                self.pinhole.denormalised(&(outwards * max_radius))
+                let outwards = self.nominal.normalised(&pixel).normalize();
+                self.nominal.denormalised(&(outwards * max_radius))
             });
             low = low.inf(&undistorted);
             high = high.sup(&undistorted);
@@ -241,7 +287,7 @@ impl Camera {
         parameters.fy *= factor_y;
         parameters.cx = (parameters.cx + 0.5) * factor_x - 0.5;
         parameters.cy = (parameters.cy + 0.5) * factor_y - 0.5;
-        Self::unchecked(parameters)
+        Self::unchecked(parameters).with_correction(self.correction)
     }
 
     /// Pixels along the image's border, corners included.

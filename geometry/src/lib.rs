@@ -54,6 +54,6 @@ pub use camera::{Camera, CameraError, CameraModel, CameraParameters, MAX_UNDISTO
 pub use direction::Direction;
 pub use line::{Line3, OrthonormalLine};
 pub use nalgebra;
-pub use pinhole::Pinhole;
+pub use pinhole::{Pinhole, PinholeCorrection};
 pub use pose::Pose;
 pub use similarity::Similarity;

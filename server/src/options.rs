@@ -21,6 +21,7 @@ pub fn engine_config(options: &SessionOptions) -> Result<SlamConfig, ApiError> {
         // Without lines there are none, unless they are asked for, which is refused above.
         global_primitives: lines && options.global_primitives.unwrap_or(config.features.global_primitives),
         loop_closing: options.loop_closing.unwrap_or(config.features.loop_closing),
+        refine_calibration: options.refine_calibration.unwrap_or(config.features.refine_calibration),
     };
     if options.deterministic == Some(true) {
         config.threading = Threading::Inline;

@@ -57,8 +57,10 @@ pub struct NewSession {
 pub struct SessionView {
     /// Its name.
     pub id: String,
-    /// Its camera.
+    /// Its camera, as it was given.
     pub camera: CameraParameters,
+    /// Its camera as it was found to be; `None` while it is used as it was given.
+    pub refined_camera: Option<CameraParameters>,
     /// What it runs with.
     pub options: SessionOptions,
     /// Wall-clock time of creation, nanoseconds since 1970.
@@ -293,12 +295,23 @@ impl Service {
 
     fn view(&self, record: SessionRecord) -> SessionView {
         let loaded = SessionId::parse(&record.id, "id").ok().and_then(|id| self.registry.view(&id));
-        let SessionRecord { id, camera, options, created_at_ns, state, metres_per_unit, last_frame, counts } =
-            record;
+        let refined_camera = record.refined_camera();
+        let SessionRecord {
+            id,
+            camera,
+            correction: _,
+            options,
+            created_at_ns,
+            state,
+            metres_per_unit,
+            last_frame,
+            counts,
+        } = record;
         let durable_sequence = last_frame.map(|(sequence, _)| sequence);
         let mut view = SessionView {
             id,
             camera,
+            refined_camera,
             options,
             created_at_ns,
             state: last_frame.map(|_| state),
@@ -343,6 +356,7 @@ fn merged(before: SessionOptions, changes: SessionOptions) -> SessionOptions {
         lines: changes.lines.or(before.lines),
         global_primitives: changes.global_primitives.or(before.global_primitives),
         loop_closing: changes.loop_closing.or(before.loop_closing),
+        refine_calibration: changes.refine_calibration.or(before.refine_calibration),
         max_keyframes: changes.max_keyframes.or(before.max_keyframes),
     }
 }

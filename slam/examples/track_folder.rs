@@ -1,6 +1,6 @@
 //! Runs the engine alone over a recording and writes the trajectory, for work on the engine itself.
 //!
-//! `cargo run --release -p slam --example track_folder -- DATASET OUT.txt [--inline] [--start N] [--end N] [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--verbose]`
+//! `cargo run --release -p slam --example track_folder -- DATASET OUT.txt [--inline] [--start N] [--end N] [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--no-calibration] [--verbose]`
 //!
 //! The dataset is a folder with `rgb.txt` and `calib.json`. Everything else (other layouts, the service, evaluation)
 //! is the business of `monoslam`.
@@ -33,6 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             lines: !flag("--no-lines"),
             global_primitives: !flag("--no-lines") && !flag("--no-primitives"),
             loop_closing: !flag("--no-loops"),
+            refine_calibration: !flag("--no-calibration"),
         },
         ..SlamConfig::default()
     };

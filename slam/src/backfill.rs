@@ -239,7 +239,8 @@ impl Way {
 
     /// Tries to place a frame next to the one reached last.
     fn visit(&mut self, waiting: Waiting, map: &Map) -> Option<FrameRecord> {
-        let Waiting { view, n_inliers } = waiting;
+        let Waiting { mut view, n_inliers } = waiting;
+        view.adopt(&map.correction());
         match self.tracker.last_frame() {
             Some(_) => self.tracker.adopt(map),
             None => self.tracker.start(self.reached.now(map)?, map),

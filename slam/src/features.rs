@@ -1,7 +1,7 @@
 //! What the front end measures in one image, in the coordinates the back end works in.
 
 use geometry::nalgebra::Vector2;
-use geometry::{Camera, Pinhole};
+use geometry::{Camera, Pinhole, PinholeCorrection};
 use std::sync::Arc;
 use vision::{Descriptor, Features, GridBounds, Keypoint, KeypointGrid};
 
@@ -65,6 +65,15 @@ pub(crate) struct View {
     pub features: Arc<FrameFeatures>,
 }
 
+impl View {
+    /// Has its rays be those of a camera corrected this way.
+    pub fn adopt(&mut self, correction: &PinholeCorrection) {
+        if !self.features.has_correction(correction) {
+            self.features = Arc::new(self.features.with_correction(correction));
+        }
+    }
+}
+
 /// The points and lines of one frame. Immutable once made and shared between the frame, its key frame and the store.
 #[derive(Clone, Debug)]
 pub struct FrameFeatures {
@@ -76,7 +85,9 @@ pub struct FrameFeatures {
     pub descriptors: Vec<Descriptor>,
     /// Line segments.
     pub lines: Vec<LineFeature>,
-    /// The ideal camera the undistorted coordinates belong to.
+    /// The ideal camera of the calibration, in whose pixels the undistorted coordinates are.
+    pub nominal_pinhole: Pinhole,
+    /// The ideal camera that sees these pixels: the nominal one, corrected as far as the session knows better.
     pub pinhole: Pinhole,
     /// The resolutions the keypoints were looked for in.
     pub pyramid: PyramidGeometry,
@@ -131,14 +142,25 @@ impl FrameFeatures {
         let entries =
             keypoints.iter().zip(&undistorted).map(|(keypoint, p)| (p.x as f32, p.y as f32, keypoint.octave));
         let grid = KeypointGrid::from_entries(entries, bounds);
-        let (lines, pinhole) = (Vec::new(), camera.pinhole());
-        Self { keypoints, undistorted, descriptors, lines, pinhole, pyramid, bounds, grid }
+        let (lines, nominal_pinhole, pinhole) = (Vec::new(), camera.nominal_pinhole(), camera.pinhole());
+        Self { keypoints, undistorted, descriptors, lines, nominal_pinhole, pinhole, pyramid, bounds, grid }
     }
 
     /// The same features with these lines.
     #[must_use]
     pub fn with_lines(self, lines: Vec<LineFeature>) -> Self {
         Self { lines, ..self }
+    }
+
+    /// Whether the rays of its pixels are those of a camera corrected this way.
+    pub(crate) fn has_correction(&self, correction: &PinholeCorrection) -> bool {
+        self.pinhole == correction.apply(&self.nominal_pinhole)
+    }
+
+    /// The same features seen by a camera corrected this way: the pixels stay, the rays change.
+    #[must_use]
+    pub(crate) fn with_correction(&self, correction: &PinholeCorrection) -> Self {
+        Self { pinhole: correction.apply(&self.nominal_pinhole), ..self.clone() }
     }
 
     /// How many keypoints there are.

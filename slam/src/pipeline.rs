@@ -89,7 +89,8 @@ impl Pipeline {
         // Numbers of tracks begin anew with each run and must not meet those of stored key frames.
         let segments = map.keyframes().flat_map(|keyframe| &keyframe.features.lines);
         let first_track = segments.map(|segment| segment.track + 1).max().unwrap_or(0);
-        let front_end = FrontEnd::new(&config, &camera, first_track)?;
+        let mut front_end = FrontEnd::new(&config, &camera, first_track)?;
+        front_end.correct_camera(map.correction());
         let mapper = Mapper::new(config.clone(), map.clone())?;
         let mapping = match config.threading {
             Threading::Inline => MappingStage::inline(mapper),
@@ -135,13 +136,14 @@ impl Pipeline {
         self.last_frame = Some((frame.sequence, frame.timestamp_ns));
         let mut stopwatch = Stopwatch::start(self.clock.clone());
 
-        let (view, line_statistics) = self.extract(frame, &mut stopwatch);
+        let (mut view, line_statistics) = self.extract(frame, &mut stopwatch);
         // A stream that comes as fast as it is taken would run ahead of the map, further than any camera does: where new texture
         // is all there is, what the newest key frames add decides the scale.
         if self.lossless {
             self.mapping.wait();
         }
         self.adopt_map();
+        view.adopt(&self.map.correction());
         stopwatch.lap("adopt");
         let mut verdict = self.track(&view);
         stopwatch.lap(if verdict.n_candidates.is_some() { "relocalise" } else { "track" });
@@ -228,6 +230,9 @@ impl Pipeline {
     fn adopt_map(&mut self) {
         let newest = self.mapping.newest_map();
         if !Arc::ptr_eq(&newest, &self.map) {
+            if newest.correction() != self.map.correction() {
+                self.front_end.correct_camera(newest.correction());
+            }
             self.map = newest;
             self.tracker.adopt(&self.map);
             self.submap = self.tracker.last_frame().map_or(self.submap, |last| last.submap);

@@ -1,7 +1,7 @@
 //! What came of one frame: values with the measurements beside the thresholds they were held against.
 
 use crate::map::{FrameState, KeyframeId, SubmapId};
-use geometry::Pose;
+use geometry::{PinholeCorrection, Pose};
 use geometry::nalgebra::Vector3;
 use std::fmt;
 use vision::lines::LineTrackingStatistics;
@@ -171,7 +171,7 @@ impl TrackingOutcome {
     }
 }
 
-/// A correction of the map by a place that was seen again.
+/// A correction of the map: by a place that was seen again, or of the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MapEvent {
     /// A loop within a submap was closed.
@@ -198,27 +198,52 @@ pub enum MapEvent {
         /// Points of the place found in the key frame.
         n_matches: usize,
     },
+    /// The camera differs from its calibration by this much, and the map was adjusted to it.
+    CalibrationRefined {
+        /// Against the calibration as it was given.
+        correction: PinholeCorrection,
+    },
+    /// The images contradict the calibration by more than it can be wrong by: it is used as it was given. The lens may be
+    /// described wrongly, or the images may have been resized or cropped.
+    CalibrationContradicted {
+        /// The camera that would fit the images best.
+        correction: PinholeCorrection,
+    },
 }
 
 impl MapEvent {
-    /// The key frame that shows the place again, and the one that showed it before.
-    pub fn keyframes(&self) -> (KeyframeId, KeyframeId) {
-        let (Self::LoopClosed { keyframe, matched, .. } | Self::SubmapsMerged { keyframe, matched, .. }) =
-            self;
-        (*keyframe, *matched)
+    /// The key frame that shows the place again, and the one that showed it before, if it is about a place.
+    pub fn keyframes(&self) -> Option<(KeyframeId, KeyframeId)> {
+        match self {
+            Self::LoopClosed { keyframe, matched, .. } | Self::SubmapsMerged { keyframe, matched, .. } => {
+                Some((*keyframe, *matched))
+            }
+            Self::CalibrationRefined { .. } | Self::CalibrationContradicted { .. } => None,
+        }
     }
 
     /// Points of the place that were found again.
     pub fn n_matches(&self) -> usize {
-        let (Self::LoopClosed { n_matches, .. } | Self::SubmapsMerged { n_matches, .. }) = self;
-        *n_matches
+        match self {
+            Self::LoopClosed { n_matches, .. } | Self::SubmapsMerged { n_matches, .. } => *n_matches,
+            Self::CalibrationRefined { .. } | Self::CalibrationContradicted { .. } => 0,
+        }
     }
 
     /// The submap that became part of another one, and that one.
     pub fn submaps(&self) -> Option<(SubmapId, SubmapId)> {
         match self {
-            Self::LoopClosed { .. } => None,
             Self::SubmapsMerged { gone, kept, .. } => Some((*gone, *kept)),
+            _ => None,
+        }
+    }
+
+    /// How the camera that fits the images best differs from its calibration, and whether it is used.
+    pub fn camera(&self) -> Option<(PinholeCorrection, bool)> {
+        match self {
+            Self::CalibrationRefined { correction } => Some((*correction, true)),
+            Self::CalibrationContradicted { correction } => Some((*correction, false)),
+            Self::LoopClosed { .. } | Self::SubmapsMerged { .. } => None,
         }
     }
 }

@@ -107,22 +107,24 @@ fn state_name(session: &v1::Session) -> &'static str {
 }
 
 fn as_json(session: &v1::Session) -> Value {
-    let camera = session.camera.as_ref().map(|c| {
-        json!({
-            "model": c.model().as_str_name().trim_start_matches("CAMERA_MODEL_").to_lowercase(),
-            "width": c.width, "height": c.height, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy,
-            "distortion": c.distortion,
+    let [camera, refined_camera] = [&session.camera, &session.refined_camera].map(|camera| {
+        camera.as_ref().map(|c| {
+            json!({
+                "model": c.model().as_str_name().trim_start_matches("CAMERA_MODEL_").to_lowercase(),
+                "width": c.width, "height": c.height, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy,
+                "distortion": c.distortion,
+            })
         })
     });
     let options = session.options.as_ref().map(|o| {
         json!({
             "deterministic": o.deterministic, "seed": o.seed, "n_features": o.n_features, "points": o.points,
             "lines": o.lines, "global_primitives": o.global_primitives, "loop_closing": o.loop_closing,
-            "max_keyframes": o.max_keyframes,
+            "max_keyframes": o.max_keyframes, "refine_calibration": o.refine_calibration,
         })
     });
     json!({
-        "id": session.id, "camera": camera, "options": options, "created_at_ns": session.created_at_ns,
+        "id": session.id, "camera": camera, "refined_camera": refined_camera, "options": options, "created_at_ns": session.created_at_ns,
         "state": state_name(session), "frames": session.n_frames, "keyframes": session.n_keyframes,
         "points": session.n_points, "lines": session.n_lines, "primitives": session.n_primitives,
         "submaps": session.n_submaps, "durable_sequence": session.durable_sequence,

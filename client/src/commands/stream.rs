@@ -73,6 +73,9 @@ pub struct OptionArgs {
     /// Do not close loops
     #[arg(long)]
     no_loops: bool,
+    /// Take the calibration as it is given, whatever the images say
+    #[arg(long)]
+    no_calibration: bool,
     /// Run every stage in turn: the same frames and seed give the same map
     #[arg(long)]
     pub deterministic: bool,
@@ -94,6 +97,7 @@ impl OptionArgs {
             lines: self.no_lines.then_some(false),
             global_primitives: self.no_primitives.then_some(false),
             loop_closing: self.no_loops.then_some(false),
+            refine_calibration: self.no_calibration.then_some(false),
             ..v1::SessionOptions::default()
         }
     }

@@ -7,12 +7,12 @@ use crate::session::{
     SentImage, SessionEvent, SessionId,
 };
 use crate::watch::Watched;
-use geometry::{CameraModel, CameraParameters, Pose};
+use geometry::{CameraModel, CameraParameters, PinholeCorrection, Pose};
 use proto::v1;
 use proto::v1::session_event::Event;
 use proto::v1::stream_frames_response::Message;
 use slam::FrameReport;
-use slam::map::FrameState;
+use slam::map::{FrameState, KeyframeId};
 use std::time::Instant;
 use store::{MAX_SEQUENCE, SessionOptions};
 use vision::decode::PixelFormat;
@@ -49,6 +49,7 @@ pub(super) fn session_options(options: v1::SessionOptions) -> SessionOptions {
         lines,
         global_primitives,
         loop_closing,
+        refine_calibration,
         max_keyframes,
     } = options;
     SessionOptions {
@@ -59,6 +60,7 @@ pub(super) fn session_options(options: v1::SessionOptions) -> SessionOptions {
         lines,
         global_primitives,
         loop_closing,
+        refine_calibration,
         max_keyframes,
     }
 }
@@ -150,6 +152,7 @@ pub(super) fn session(view: &SessionView) -> v1::Session {
         has_writer: view.has_writer,
         last_timestamp_ns: view.last_timestamp_ns,
         metres_per_unit: view.metres_per_unit,
+        refined_camera: view.refined_camera.as_ref().map(camera),
     }
 }
 
@@ -173,6 +176,7 @@ fn options(options: &SessionOptions) -> v1::SessionOptions {
         lines,
         global_primitives,
         loop_closing,
+        refine_calibration,
         max_keyframes,
     } = *options;
     v1::SessionOptions {
@@ -183,6 +187,7 @@ fn options(options: &SessionOptions) -> v1::SessionOptions {
         lines,
         global_primitives,
         loop_closing,
+        refine_calibration,
         max_keyframes,
     }
 }
@@ -351,14 +356,18 @@ fn frame_result(report: &FrameReport, metres_per_unit: Option<f64>) -> v1::Frame
 }
 
 fn correction(event: &slam::MapEvent) -> v1::MapCorrection {
-    let (keyframe, matched) = event.keyframes();
+    let (keyframe, matched) = event.keyframes().unzip();
     let (submap_gone, submap_kept) = event.submaps().unzip();
     v1::MapCorrection {
-        keyframe: keyframe.get(),
-        matched_keyframe: matched.get(),
+        keyframe: keyframe.map_or(0, KeyframeId::get),
+        matched_keyframe: matched.map_or(0, KeyframeId::get),
         n_matches: event.n_matches() as u32,
         submap_gone: submap_gone.map(|submap| submap.0),
         submap_kept: submap_kept.map(|submap| submap.0),
+        camera: event.camera().map(|(correction, adopted)| {
+            let PinholeCorrection { focal, centre_x, centre_y } = correction;
+            v1::CameraCorrection { focal, centre_x, centre_y, adopted }
+        }),
     }
 }
 

@@ -8,6 +8,7 @@ use crate::session::{MapChange, SessionEvent, SessionId};
 use crate::watch::{Watched, watch};
 use axum::extract::{Path, State};
 use axum::response::sse::{Event, KeepAlive, Sse};
+use geometry::PinholeCorrection;
 use serde::Serialize;
 use slam::FrameReport;
 use slam::map::{KeyframeId, PrimitiveId};
@@ -41,19 +42,35 @@ pub(super) struct FrameEvent {
     corrections: Vec<MapCorrection>,
 }
 
-/// The map was put right by a place that was seen again.
+/// How the camera that fits the images best differs from its calibration.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub(super) struct CameraCorrection {
+    /// Relative change of both focal lengths.
+    focal: f64,
+    /// Shift of the principal point to the right, in focal lengths.
+    centre_x: f64,
+    /// Shift of the principal point downwards, in focal lengths.
+    centre_y: f64,
+    /// The map was adjusted to that camera. Otherwise it is more than a calibration can be wrong by: it is used as it was given,
+    /// and should be looked at.
+    adopted: bool,
+}
+
+/// The map was put right by a place that was seen again, or because the camera is not as it was given.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(super) struct MapCorrection {
-    /// The key frame that shows the place again.
-    keyframe: u64,
+    /// The key frame that shows the place again; `null` if it is about the camera.
+    keyframe: Option<u64>,
     /// The key frame that showed it before.
-    matched_keyframe: u64,
+    matched_keyframe: Option<u64>,
     /// Points of the place that were found again.
     n_matches: usize,
     /// The submap that became part of another one; `null` where a loop within a submap was closed.
     submap_gone: Option<u32>,
     /// The submap it became part of.
     submap_kept: Option<u32>,
+    /// What was found out about the camera.
+    camera: Option<CameraCorrection>,
 }
 
 /// Data of an event `map`: the map was changed. It is in the database a moment later.
@@ -111,14 +128,18 @@ impl FrameEvent {
 
 impl From<&slam::MapEvent> for MapCorrection {
     fn from(event: &slam::MapEvent) -> Self {
-        let (keyframe, matched) = event.keyframes();
+        let (keyframe, matched) = event.keyframes().unzip();
         let (submap_gone, submap_kept) = event.submaps().unzip();
         Self {
-            keyframe: keyframe.get(),
-            matched_keyframe: matched.get(),
+            keyframe: keyframe.map(KeyframeId::get),
+            matched_keyframe: matched.map(KeyframeId::get),
             n_matches: event.n_matches(),
             submap_gone: submap_gone.map(|submap| submap.0),
             submap_kept: submap_kept.map(|submap| submap.0),
+            camera: event.camera().map(|(correction, adopted)| {
+                let PinholeCorrection { focal, centre_x, centre_y } = correction;
+                CameraCorrection { focal, centre_x, centre_y, adopted }
+            }),
         }
     }
 }

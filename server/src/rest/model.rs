@@ -76,6 +76,9 @@ pub struct Options {
     /// Whether loops are closed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub loop_closing: Option<bool>,
+    /// Whether the calibration is put right as the map grows.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refine_calibration: Option<bool>,
     /// Most key frames the session keeps.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_keyframes: Option<u32>,
@@ -148,8 +151,10 @@ impl Scale {
 pub struct Session {
     /// Its name.
     pub id: String,
-    /// Its camera.
+    /// Its camera, as it was given.
     pub camera: Camera,
+    /// Its camera as it was found to be; `null` while it is used as it was given.
+    pub refined_camera: Option<Camera>,
     /// What it runs with.
     pub options: Options,
     /// Wall-clock time of creation, nanoseconds since 1970.
@@ -270,6 +275,7 @@ macro_rules! convert_options {
                     lines: options.lines,
                     global_primitives: options.global_primitives,
                     loop_closing: options.loop_closing,
+                    refine_calibration: options.refine_calibration,
                     max_keyframes: options.max_keyframes,
                 }
             }
@@ -307,6 +313,7 @@ impl From<SessionView> for Session {
         Self {
             id: view.id,
             camera: view.camera.into(),
+            refined_camera: view.refined_camera.map(Camera::from),
             options: view.options.into(),
             created_at_ns: view.created_at_ns,
             state: view.state.map(State::from),

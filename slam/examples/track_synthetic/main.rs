@@ -121,6 +121,7 @@ fn track(
     let mut config = SlamConfig { seed: engine_seed, ..SlamConfig::default() };
     config.threading = if flag("--inline") { Threading::Inline } else { Threading::Background };
     config.features.loop_closing = !flag("--no-loops");
+    config.features.refine_calibration = !flag("--no-calibration");
     config.features.lines = !flag("--no-lines");
     config.features.global_primitives = with_primitives;
     let clock = Arc::new(WallClock::start());

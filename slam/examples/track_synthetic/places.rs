@@ -6,10 +6,9 @@ use slam::{FrameReport, Map, MapEvent};
 
 /// How far apart the two views of a recognised place really are.
 pub fn truth_of(event: &MapEvent, map: &Map, recording: &Recording) -> String {
-    let (MapEvent::LoopClosed { keyframe, matched, .. } | MapEvent::SubmapsMerged { keyframe, matched, .. }) =
-        event;
+    let Some((keyframe, matched)) = event.keyframes() else { return String::new() };
     let pose = |id| Some(recording.camera_from_world(map.keyframe(id)?.sequence as usize));
-    let Some((a, b)) = pose(*keyframe).zip(pose(*matched)) else { return "culled since".to_owned() };
+    let Some((a, b)) = pose(keyframe).zip(pose(matched)) else { return "culled since".to_owned() };
     let angle_deg = a.rotation.angle_to(&b.rotation).to_degrees();
     format!("truly {:.2} and {angle_deg:.1} deg apart", (a.centre() - b.centre()).norm())
 }

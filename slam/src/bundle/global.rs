@@ -2,11 +2,12 @@
 //! meanwhile is carried along when the result is merged. [ALGORITHMS 7.6, 8.3]
 
 use super::adjustment::{Adjusted, Adjustment, Scope};
+use super::calibration::Estimate;
 use super::stage_two::StageTwo;
 use crate::config::SlamConfig;
 use crate::loops::{Anchoring, apply_corrections};
 use crate::map::{Keyframe, KeyframeId, Map, SubmapId};
-use geometry::{Pose, Similarity};
+use geometry::{PinholeCorrection, Pose, Similarity};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -17,6 +18,8 @@ pub(crate) struct GlobalResult {
     /// The oldest key frame, which stays where it is.
     fixed: Option<KeyframeId>,
     adjusted: Adjusted,
+    /// The camera it was found with, if that is another than before.
+    correction: Option<PinholeCorrection>,
 }
 
 /// Adjusts every key frame of a submap with the points and lines they see: all of it, then without the outliers, then with
@@ -50,13 +53,34 @@ pub(crate) fn adjust(
     if added == StageTwo::Refused {
         tracing::info!(%submap, "primitives disagree with the submap's points and lines: left out");
     }
-    (!aborted()).then(|| GlobalResult { submap, fixed: Some(fixed), adjusted: adjustment.result() })
+    let adjusted = adjustment.result();
+    (!aborted()).then_some(GlobalResult { submap, fixed: Some(fixed), adjusted, correction: None })
+}
+
+/// Adjusts a submap to another camera: the one found with its poses and points, or the one of the calibration.
+pub(crate) fn adjust_to_camera(
+    map: &Map,
+    submap: SubmapId,
+    refined: Option<&Estimate>,
+    config: &SlamConfig,
+    abort: &AtomicBool,
+) -> Option<GlobalResult> {
+    let mut map = map.clone();
+    match refined {
+        Some(estimate) => estimate.write_into(&mut map),
+        None => map.set_correction(PinholeCorrection::default()),
+    }
+    let result = adjust(&map, submap, config, abort)?;
+    Some(GlobalResult { correction: Some(map.correction()), ..result })
 }
 
 impl GlobalResult {
     /// Takes the result over. Key frames made since follow the one they hang on in the spanning tree, other landmarks the
     /// key frame that made them.
     pub fn merge_into(self, map: &mut Map) {
+        if let Some(correction) = self.correction {
+            map.set_correction(correction);
+        }
         let corrections: BTreeMap<KeyframeId, Similarity> = map
             .keyframes_of(self.submap)
             .filter_map(|keyframe| {

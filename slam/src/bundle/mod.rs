@@ -2,6 +2,7 @@
 
 pub(crate) mod adjustment;
 pub(crate) mod anchored_line;
+pub(crate) mod calibration;
 pub mod factors;
 #[cfg(test)]
 mod gauge_tests;

@@ -1,6 +1,7 @@
 //! What a session runs with. Every field has a default, a unit and a reason.
 
 mod alignment;
+mod calibration;
 mod continuity;
 mod lines;
 mod loops;
@@ -8,6 +9,7 @@ mod primitives;
 mod submaps;
 
 pub use alignment::AlignmentConfig;
+pub use calibration::CalibrationConfig;
 pub use continuity::ContinuityConfig;
 pub use lines::LineConfig;
 pub use loops::LoopConfig;
@@ -38,11 +40,13 @@ pub struct FeatureSwitches {
     pub global_primitives: bool,
     /// Places seen before are recognised: loops are closed and submaps merged. Default on.
     pub loop_closing: bool,
+    /// The calibration is looked at as the map grows, and the focal length and principal point put right. Default on.
+    pub refine_calibration: bool,
 }
 
 impl Default for FeatureSwitches {
     fn default() -> Self {
-        Self { lines: true, global_primitives: true, loop_closing: true }
+        Self { lines: true, global_primitives: true, loop_closing: true, refine_calibration: true }
     }
 }
 
@@ -82,6 +86,8 @@ pub struct SlamConfig {
     pub loops: LoopConfig,
     /// Beginning further pieces of map.
     pub submaps: SubmapConfig,
+    /// Refining the calibration.
+    pub calibration: CalibrationConfig,
 }
 
 impl Default for SlamConfig {
@@ -103,6 +109,7 @@ impl Default for SlamConfig {
             continuity: ContinuityConfig::default(),
             loops: LoopConfig::default(),
             submaps: SubmapConfig::default(),
+            calibration: CalibrationConfig::default(),
         }
     }
 }

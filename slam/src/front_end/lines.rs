@@ -35,6 +35,10 @@ impl LineFrontEnd {
         Ok(Self { camera: camera.clone(), config: config.lines.clone(), detector, tracker, first_track })
     }
 
+    pub fn set_camera(&mut self, camera: &Camera) {
+        self.camera = camera.clone();
+    }
+
     pub fn extract(
         &mut self,
         image: &GrayImage,

@@ -5,7 +5,7 @@ mod lines;
 use crate::clock::Stopwatch;
 use crate::config::{ConfigError, SlamConfig, Threading};
 use crate::features::FrameFeatures;
-use geometry::Camera;
+use geometry::{Camera, PinholeCorrection};
 use geometry::nalgebra::UnitQuaternion;
 use lines::LineFrontEnd;
 use vision::lines::LineTrackingStatistics;
@@ -29,6 +29,14 @@ impl FrontEnd {
         let lines =
             config.features.lines.then(|| LineFrontEnd::new(config, &camera, first_track)).transpose()?;
         Ok(Self { camera, config: config.clone(), extractor, lines })
+    }
+
+    /// Takes over how the camera differs from its calibration.
+    pub fn correct_camera(&mut self, correction: PinholeCorrection) {
+        self.camera = self.camera.with_correction(correction);
+        if let Some(lines) = &mut self.lines {
+            lines.set_camera(&self.camera);
+        }
     }
 
     /// Asks for so many keypoints per image from now on.

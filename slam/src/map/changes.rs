@@ -24,6 +24,8 @@ pub struct MapChanges {
     pub primitives: BTreeSet<PrimitiveId>,
     /// Global primitives that were removed.
     pub removed_primitives: BTreeSet<PrimitiveId>,
+    /// Whether [`Map::correction`] is another.
+    pub correction: bool,
 }
 
 impl MapChanges {
@@ -37,6 +39,7 @@ impl MapChanges {
             && self.removed_lines.is_empty()
             && self.primitives.is_empty()
             && self.removed_primitives.is_empty()
+            && !self.correction
     }
 
     /// Adds what changed afterwards; what was removed afterwards no longer counts as changed.
@@ -53,6 +56,7 @@ impl MapChanges {
         self.primitives.extend(later.primitives);
         self.removed_primitives.extend(later.removed_primitives);
         self.primitives.retain(|id| !self.removed_primitives.contains(id));
+        self.correction |= later.correction;
     }
 }
 

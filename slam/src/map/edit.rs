@@ -1,5 +1,6 @@
 //! Changing a map. Every change keeps both sides of an observation in step and notes the rows it touches.
 
+use super::calibration;
 use super::{
     Keyframe, KeyframeId, LineId, Map, MapChanges, Observation, PointId, PointLandmark, PrimitiveId,
     RemovedKeyframe, SubmapId,
@@ -20,6 +21,7 @@ impl Map {
     /// landmarks that are gone, or already seen by another keypoint of the frame, are dropped.
     pub(crate) fn add_keyframe(&mut self, mut keyframe: Keyframe) {
         let id = keyframe.id;
+        calibration::adapt(&mut keyframe, &self.correction);
         self.next_keyframe_idx = self.next_keyframe_idx.max(id.index() + 1);
         for (feature_idx, slot) in keyframe.points.iter_mut().enumerate() {
             let Some(point_id) = *slot else { continue };

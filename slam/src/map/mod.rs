@@ -3,6 +3,7 @@
 //! A [`Map`] is a value. Copies are cheap and share everything that neither side has changed since, so the
 //! one owner works on its copy and hands out snapshots, and no reader ever waits.
 
+mod calibration;
 mod changes;
 mod edit;
 mod edit_lines;
@@ -26,6 +27,7 @@ pub use line::LineLandmark;
 pub use point::{Observation, PointLandmark};
 pub use primitive::{GlobalPrimitive, PrimitiveObservation, VanishingObservation};
 
+use geometry::PinholeCorrection;
 use paged::Paged;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -42,6 +44,7 @@ pub struct Map {
     next_point_idx: usize,
     next_line_idx: usize,
     next_primitive_idx: usize,
+    correction: PinholeCorrection,
     changes: MapChanges,
 }
 
@@ -58,6 +61,8 @@ pub struct MapParts {
     pub primitives: Vec<GlobalPrimitive>,
     /// Removed key frames that frames may still refer to.
     pub removed_keyframes: Vec<RemovedKeyframe>,
+    /// How the camera differs from its calibration, as far as the session has found out.
+    pub correction: PinholeCorrection,
     /// Numbers above which ids are free; ids in use above them are respected too.
     pub last_ids: LastIds,
 }
@@ -159,6 +164,11 @@ impl Map {
             line: self.next_line_idx as u64,
             primitive: self.next_primitive_idx as u64,
         }
+    }
+
+    /// How the camera differs from its calibration. All key frames are of this camera.
+    pub fn correction(&self) -> PinholeCorrection {
+        self.correction
     }
 
     /// The submaps that have key frames, in order.

@@ -18,7 +18,9 @@ impl Map {
         };
         map.removed_keyframes =
             Arc::new(parts.removed_keyframes.into_iter().map(|gone| (gone.id, gone)).collect());
-        for keyframe in parts.keyframes {
+        map.correction = parts.correction;
+        for mut keyframe in parts.keyframes {
+            super::calibration::adapt(&mut keyframe, &parts.correction);
             map.next_keyframe_idx = map.next_keyframe_idx.max(keyframe.id.index() + 1);
             map.keyframes.insert(keyframe.id.index(), keyframe);
         }
@@ -53,6 +55,7 @@ impl Map {
             lines: self.lines().cloned().collect(),
             primitives: self.primitives().cloned().collect(),
             removed_keyframes: self.removed_keyframes().copied().collect(),
+            correction: self.correction,
             last_ids: self.last_ids(),
         }
     }

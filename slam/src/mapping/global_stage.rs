@@ -1,8 +1,10 @@
 //! Where global bundle adjustment runs: at once, or on a thread of its own beside tracking and mapping.
 
+use super::camera::{Look, look};
 use crate::bundle::global::{GlobalResult, adjust};
 use crate::config::{SlamConfig, Threading};
 use crate::map::{Map, SubmapId};
+use geometry::PinholeCorrection;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -13,9 +15,34 @@ pub(super) struct GlobalStage {
     under_way: Option<UnderWay>,
 }
 
+/// What is to be done.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Task {
+    /// Poses, landmarks and primitives of a submap are adjusted.
+    AdjustMap,
+    /// The camera is looked at, and the submap adjusted to it if it turns out to be another than was thought.
+    LookAtCamera { doubt: Option<PinholeCorrection> },
+}
+
+/// What came of it.
+pub(super) enum Done {
+    Adjusted(GlobalResult),
+    Looked(Look),
+}
+
+impl Task {
+    fn run(self, map: &Map, submap: SubmapId, config: &SlamConfig, abort: &AtomicBool) -> Option<Done> {
+        match self {
+            Self::AdjustMap => adjust(map, submap, config, abort).map(Done::Adjusted),
+            Self::LookAtCamera { doubt } => look(map, submap, doubt, config, abort).map(Done::Looked),
+        }
+    }
+}
+
 struct UnderWay {
+    task: Task,
     abort: Arc<AtomicBool>,
-    thread: JoinHandle<Option<GlobalResult>>,
+    thread: JoinHandle<Option<Done>>,
 }
 
 impl GlobalStage {
@@ -24,17 +51,23 @@ impl GlobalStage {
     }
 
     /// Begins to adjust a submap. Returns the result if it is there at once.
-    pub fn start(&mut self, map: &Map, submap: SubmapId, config: &SlamConfig) -> Option<GlobalResult> {
+    pub fn start(
+        &mut self,
+        task: Task,
+        map: &Map,
+        submap: SubmapId,
+        config: &SlamConfig,
+    ) -> Option<Done> {
         self.cancel();
         let abort = Arc::new(AtomicBool::new(false));
         if self.threading == Threading::Inline {
-            return adjust(map, submap, config, &abort);
+            return task.run(map, submap, config, &abort);
         }
         let (snapshot, config, aborted) = (map.clone(), config.clone(), abort.clone());
-        let run = move || adjust(&snapshot, submap, &config, &aborted);
+        let run = move || task.run(&snapshot, submap, &config, &aborted);
         // Without a thread the map stays as good as the essential graph has made it.
         let spawned = std::thread::Builder::new().name("slam-global-ba".into()).spawn(run);
-        self.under_way = spawned.ok().map(|thread| UnderWay { abort, thread });
+        self.under_way = spawned.ok().map(|thread| UnderWay { task, abort, thread });
         None
     }
 
@@ -45,8 +78,18 @@ impl GlobalStage {
         }
     }
 
+    /// Whether the camera is being looked at.
+    pub fn is_at_camera(&self) -> bool {
+        self.under_way.as_ref().is_some_and(|under_way| matches!(under_way.task, Task::LookAtCamera { .. }))
+    }
+
+    /// Whether nothing is under way.
+    pub fn is_idle(&self) -> bool {
+        self.under_way.is_none()
+    }
+
     /// The result, once it is there; `wait` waits for it.
-    pub fn take(&mut self, wait: bool) -> Option<GlobalResult> {
+    pub fn take(&mut self, wait: bool) -> Option<Done> {
         if !self.under_way.as_ref().is_some_and(|under_way| wait || under_way.thread.is_finished()) {
             return None;
         }

@@ -1,5 +1,6 @@
 //! Extending and tending the map, key frame by key frame.
 
+mod camera;
 mod culling;
 pub(crate) mod fusion;
 mod global_stage;
@@ -19,7 +20,8 @@ use crate::map::{
 use crate::report::{LineJudgement, MapEvent};
 use crate::tracking::Sightings;
 use geometry::nalgebra::Vector3;
-use global_stage::GlobalStage;
+use camera::CameraWatch;
+use global_stage::{Done, GlobalStage, Task};
 use lines::LineMapper;
 use primitives::PrimitiveMapper;
 use std::sync::Arc;
@@ -59,6 +61,8 @@ pub(crate) struct Mapper {
     /// Absent where loops are not to be closed.
     loops: Option<LoopCloser>,
     global: GlobalStage,
+    /// Absent where the calibration is to be taken as it is.
+    camera: Option<CameraWatch>,
     /// Corrections of the map that nobody was told of yet.
     events: Vec<MapEvent>,
 }
@@ -72,7 +76,8 @@ impl Mapper {
         let loops = config.features.loop_closing.then(|| LoopCloser::new(&config));
         let global = GlobalStage::new(config.threading);
         let (recent_points, lines, events) = (Vec::new(), LineMapper::default(), Vec::new());
-        Ok(Self { config, map, recent_points, lines, primitives, loops, global, events })
+        let camera = config.features.refine_calibration.then(|| CameraWatch::new(&config.calibration));
+        Ok(Self { config, map, recent_points, lines, primitives, loops, global, camera, events })
     }
 
     /// Hands out what corrected the map since the last call.
@@ -145,6 +150,7 @@ impl Mapper {
         culling::cull_keyframes(&mut self.map, id, &self.config);
         publish(&self.map);
         self.close_loops(id);
+        self.look_at_camera(1.0);
         self.update(new.frames)
     }
 
@@ -162,7 +168,28 @@ impl Mapper {
     /// Waits for the adjustment of the whole map that is under way, if any, and takes it over.
     pub fn settle(&mut self) -> MapUpdate {
         self.take_over_global(true);
+        // A short recording ends between two times of looking at the camera.
+        self.look_at_camera(1.0 / self.config.calibration.growth);
+        self.take_over_global(true);
         self.update(Vec::new())
+    }
+
+    /// Waits for the look at the camera that is under way, if any. Returns whether there was one.
+    pub fn settle_camera(&mut self) -> bool {
+        let was_under_way = self.global.is_at_camera();
+        if was_under_way {
+            self.take_over_global(true);
+        }
+        was_under_way
+    }
+
+    /// Looks at the camera if there are enough key frames for it, or `share` of those planned.
+    fn look_at_camera(&mut self, share: f64) {
+        let Some(camera) = self.camera.as_mut().filter(|_| self.global.is_idle()) else { return };
+        let Some(submap) = camera.is_due(&self.map, share, &self.config.calibration) else { return };
+        let task = Task::LookAtCamera { doubt: camera.doubt() };
+        let done = self.global.start(task, &self.map, submap, &self.config);
+        self.take_over(done);
     }
 
     /// Recognises the place the key frame shows, corrects the map by it, and has all of it adjusted.
@@ -173,15 +200,27 @@ impl Mapper {
         self.events.push(closed.event);
         self.lines.forget_missing(&self.map);
         self.recent_points.retain(|id| self.map.point(*id).is_some());
-        let adjusted =
-            closed.moved.then(|| self.global.start(&self.map, closed.submap, &self.config)).flatten();
-        if let Some(result) = adjusted {
-            result.merge_into(&mut self.map);
+        if closed.moved {
+            let done = self.global.start(Task::AdjustMap, &self.map, closed.submap, &self.config);
+            self.take_over(done);
         }
     }
 
     fn take_over_global(&mut self, wait: bool) {
-        if let Some(result) = self.global.take(wait) {
+        let done = self.global.take(wait);
+        self.take_over(done);
+    }
+
+    fn take_over(&mut self, done: Option<Done>) {
+        let result = match done {
+            None => None,
+            Some(Done::Adjusted(result)) => Some(result),
+            Some(Done::Looked(look)) => {
+                self.events.extend(self.camera.as_mut().and_then(|camera| camera.learn(&look)));
+                look.adjusted
+            }
+        };
+        if let Some(result) = result {
             result.merge_into(&mut self.map);
         }
     }

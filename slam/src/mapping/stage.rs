@@ -214,10 +214,19 @@ impl Shared {
             Request::Record(frames) => mapper.record(frames),
             Request::Settle => mapper.settle(),
             Request::Barrier(done) => {
+                // Whoever waits for mapping would see the camera change at one frame or the next, as chance has it.
+                if mapper.settle_camera() {
+                    let update = mapper.record(Vec::new());
+                    self.hand_out(mapper, update);
+                }
                 let _ = done.send(());
                 return;
             }
         };
+        self.hand_out(mapper, update);
+    }
+
+    fn hand_out(&self, mapper: &mut Mapper, update: MapUpdate) {
         lock(&self.events).append(&mut mapper.take_events());
         let mut judgements = lock(&self.line_judgements);
         judgements.extend(mapper.take_line_judgements());

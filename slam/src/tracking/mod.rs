@@ -119,6 +119,9 @@ impl Tracker {
         if let Some(relocaliser) = &mut self.relocaliser {
             relocaliser.learn(map);
         }
+        if let Some(aligner) = &mut self.aligner {
+            aligner.correct_camera(map.correction());
+        }
         self.line_tracks.learn(map);
         self.primitive_tracks.learn(map);
         let Some(last) = &mut self.last else { return };

@@ -45,7 +45,7 @@ pub(crate) fn encode_features(features: &FrameFeatures) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(64 + n * KEYPOINT_BYTES + features.lines.len() * SEGMENT_BYTES);
     bytes.push(VERSION);
     bytes.extend((n as u32).to_le_bytes());
-    let Pinhole { fx, fy, cx, cy } = features.pinhole;
+    let Pinhole { fx, fy, cx, cy } = features.nominal_pinhole;
     [fx, fy, cx, cy].iter().for_each(|value| bytes.extend(value.to_le_bytes()));
     bytes.push(features.pyramid.n_levels);
     bytes.extend(features.pyramid.scale_factor.to_le_bytes());

@@ -9,7 +9,7 @@ mod rows;
 
 use crate::number::to_column;
 use crate::pose::finite_pose_columns;
-use crate::session::{SessionCounts, read_session, state_column, write_progress};
+use crate::session::{SessionCounts, read_session, state_column, write_correction, write_progress};
 use crate::{Store, StoreError};
 use rows::MultiRow;
 pub(crate) use rows::id_list;
@@ -71,6 +71,9 @@ impl Store {
         points::write_points(&mut transaction, number, update).await?;
         lines::write_lines(&mut transaction, number, update).await?;
         primitives::write_primitives(&mut transaction, number, update).await?;
+        if update.changes.correction {
+            write_correction(&mut transaction, number, &update.map.correction()).await?;
+        }
         let n_new_frames = write_frames(&mut transaction, number, &update.frames).await?;
 
         let newest = update.frames.iter().map(|frame| (frame.sequence, frame.timestamp_ns)).max();

@@ -4,7 +4,7 @@ mod json;
 
 use crate::number::{from_column, from_column_u32, to_column};
 use crate::{Store, StoreError};
-use geometry::{Camera, CameraParameters};
+use geometry::{Camera, CameraParameters, PinholeCorrection};
 use slam::map::{FrameState, LastIds};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
@@ -29,8 +29,10 @@ pub struct NewSession {
 pub struct SessionRecord {
     /// The name.
     pub id: String,
-    /// The camera the frames come from.
+    /// The camera the frames come from, as it was given.
     pub camera: CameraParameters,
+    /// How that camera differs from what was given, as far as the session has found out.
+    pub correction: PinholeCorrection,
     /// What the session runs with.
     pub options: SessionOptions,
     /// Wall-clock time of creation, nanoseconds since 1970.
@@ -174,13 +176,19 @@ impl Store {
 }
 
 impl SessionRecord {
-    /// The camera, checked again.
+    /// The camera as it was given, checked again.
     ///
     /// # Errors
     /// [`StoreError::Corrupt`] if it is not the valid one that was stored.
     pub fn checked_camera(&self) -> Result<Camera, StoreError> {
         Camera::new(self.camera.clone())
             .map_err(|error| StoreError::Corrupt(format!("the camera of session {:?}: {error}", self.id)))
+    }
+
+    /// The camera as the session has found it to be; `None` if as it was given.
+    pub fn refined_camera(&self) -> Option<CameraParameters> {
+        let camera = self.checked_camera().ok().filter(|_| !self.correction.is_none())?;
+        Some(camera.with_correction(self.correction).corrected_parameters())
     }
 }
 
@@ -209,6 +217,11 @@ pub(crate) fn parse_session(row: &SqliteRow) -> Result<(i64, SessionRecord), Sto
     let record = SessionRecord {
         id: row.try_get("id")?,
         camera: json::decode_camera(row.try_get("camera")?)?,
+        correction: PinholeCorrection {
+            focal: row.try_get("focal_correction")?,
+            centre_x: row.try_get("centre_x_correction")?,
+            centre_y: row.try_get("centre_y_correction")?,
+        },
         options: json::decode_options(row.try_get("options")?)?,
         created_at_ns: row.try_get("created_at_ns")?,
         state: parse_state(row.try_get("state")?)?,
@@ -254,6 +267,28 @@ pub(crate) async fn write_progress(
     .bind(to_column("n_lines", counts.n_lines)?)
     .bind(to_column("n_primitives", counts.n_primitives)?)
     .bind(i64::from(counts.n_submaps))
+    .bind(number)
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+/// Writes how the session's camera differs from its calibration.
+pub(crate) async fn write_correction(
+    connection: &mut SqliteConnection,
+    number: i64,
+    correction: &PinholeCorrection,
+) -> Result<(), StoreError> {
+    let PinholeCorrection { focal, centre_x, centre_y } = *correction;
+    if ![focal, centre_x, centre_y].iter().all(|value| value.is_finite()) {
+        return Err(StoreError::NotFinite("the correction of the camera".into()));
+    }
+    sqlx::query(
+        "UPDATE sessions SET focal_correction = ?, centre_x_correction = ?, centre_y_correction = ? WHERE number = ?",
+    )
+    .bind(focal)
+    .bind(centre_x)
+    .bind(centre_y)
     .bind(number)
     .execute(connection)
     .await?;

@@ -23,7 +23,8 @@ const NO_ERROR: &str = "-1";
 pub(super) async fn write(export: &mut Export, part: Part) -> Result<(), ApiError> {
     match part {
         Part::Cameras => {
-            let camera = camera_line(&export.snapshot.record().camera);
+            let record = export.snapshot.record();
+            let camera = camera_line(&record.refined_camera().unwrap_or_else(|| record.camera.clone()));
             let head = "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n";
             export.out.write(head).await?;
             export.out.write(&camera).await

@@ -1,6 +1,7 @@
 //! The terms of the cost function, one file each.
 
 mod baseline_length;
+mod calibrated_reprojection;
 mod direction_prior;
 mod line_reprojection;
 mod point_reprojection;
@@ -10,6 +11,8 @@ mod structural_consistency;
 mod vanishing_reprojection;
 
 pub use baseline_length::BaselineLengthFactor;
+pub use calibrated_reprojection::{CalibratedReprojectionFactor, CalibrationPriorFactor};
+pub(super) use calibrated_reprojection::{correction_of, vector_of};
 pub use direction_prior::DirectionPriorFactor;
 pub use line_reprojection::LineReprojectionFactor;
 pub use point_reprojection::PointReprojectionFactor;

@@ -10,7 +10,7 @@ mod tests;
 
 use crate::config::AlignmentConfig;
 use geometry::nalgebra::{UnitQuaternion, Vector3};
-use geometry::{Camera, Pose};
+use geometry::{Camera, PinholeCorrection, Pose};
 use level::{LevelPatches, Motion};
 use pyramid::HalvedImages;
 use std::sync::Arc;
@@ -30,6 +30,13 @@ impl Aligner {
     /// `camera` is that of the images as features are looked for in them.
     pub fn new(camera: Camera, config: AlignmentConfig) -> Self {
         Self { camera, config }
+    }
+
+    /// Takes over how the camera differs from its calibration.
+    pub fn correct_camera(&mut self, correction: PinholeCorrection) {
+        if self.camera.correction() != correction {
+            self.camera = self.camera.with_correction(correction);
+        }
     }
 
     /// `second_from_first`, by what the first image shows at these positions in its camera's frame. `None` if too little of

@@ -1,0 +1,91 @@
+//! Keeping an eye on the camera: when it is looked at whether its calibration is true, and what comes of it.
+
+use crate::bundle::calibration::{Verdict, examine};
+use crate::bundle::global::{GlobalResult, adjust_to_camera};
+use crate::config::{CalibrationConfig, SlamConfig};
+use crate::map::{Map, SubmapId};
+use crate::report::MapEvent;
+use geometry::PinholeCorrection;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// When the camera is looked at next, and what was found so far.
+#[derive(Clone, Debug)]
+pub(super) struct CameraWatch {
+    /// Key frames from which on it is looked at again.
+    next_keyframes: usize,
+    /// What the last look found, if that was doubtful.
+    doubt: Option<PinholeCorrection>,
+    /// Looking again would not help.
+    is_over: bool,
+}
+
+/// What a look at the camera came to.
+pub(super) struct Look {
+    doubt: Option<PinholeCorrection>,
+    event: Option<MapEvent>,
+    /// The submap as it is with another camera.
+    pub adjusted: Option<GlobalResult>,
+}
+
+impl CameraWatch {
+    pub fn new(config: &CalibrationConfig) -> Self {
+        Self { next_keyframes: config.min_keyframes, doubt: None, is_over: false }
+    }
+
+    /// The submap by which the camera is to be looked at now, if it is; `share` of the planned key frames will do. Only while
+    /// the map is in one piece: another piece would not be adjusted with it.
+    pub fn is_due(&mut self, map: &Map, share: f64, config: &CalibrationConfig) -> Option<SubmapId> {
+        let n_keyframes = map.n_keyframes();
+        let n_required = (self.next_keyframes as f64 * share).max(config.min_keyframes as f64);
+        if self.is_over || (n_keyframes as f64) < n_required || n_keyframes > config.max_keyframes {
+            return None;
+        }
+        let mut submaps = map.submaps().into_iter();
+        let (Some(submap), None) = (submaps.next(), submaps.next()) else { return None };
+        self.next_keyframes = (n_keyframes as f64 * config.growth).ceil() as usize;
+        Some(submap)
+    }
+
+    /// What made the last look doubtful.
+    pub fn doubt(&self) -> Option<PinholeCorrection> {
+        self.doubt
+    }
+
+    /// Takes note of a look, and tells what there is to tell.
+    pub fn learn(&mut self, look: &Look) -> Option<MapEvent> {
+        self.doubt = look.doubt;
+        self.is_over |= matches!(look.event, Some(MapEvent::CalibrationContradicted { .. }));
+        look.event
+    }
+}
+
+/// Looks at the camera and, if it is another than was thought, adjusts the submap to it. `None` if `abort` was set meanwhile.
+pub(super) fn look(
+    map: &Map,
+    submap: SubmapId,
+    doubt: Option<PinholeCorrection>,
+    config: &SlamConfig,
+    abort: &AtomicBool,
+) -> Option<Look> {
+    let aborted = || abort.load(Ordering::Relaxed);
+    let nothing = Look { doubt: None, event: None, adjusted: None };
+    Some(match examine(map, submap, doubt, &config.calibration, aborted)? {
+        Verdict::Confirmed => nothing,
+        Verdict::Doubtful(correction) => Look { doubt: Some(correction), ..nothing },
+        Verdict::Refined(estimate) => Look {
+            adjusted: Some(adjust_to_camera(map, submap, Some(&estimate), config, abort)?),
+            event: Some(MapEvent::CalibrationRefined { correction: estimate.correction }),
+            doubt: None,
+        },
+        Verdict::Contradicted(correction) => Look {
+            // A camera taken over earlier was a first step towards something that no camera explains.
+            adjusted: if map.correction().is_none() {
+                None
+            } else {
+                Some(adjust_to_camera(map, submap, None, config, abort)?)
+            },
+            event: Some(MapEvent::CalibrationContradicted { correction }),
+            doubt: None,
+        },
+    })
+}
