@@ -41,6 +41,6 @@ pub use pacing::Pacing;
 pub use placement::{Placement, SessionEnd};
 pub use source::{FrameSource, ReadyFrame, read_ahead};
 pub use streaming::{StreamEvent, StreamPlan, stream_frames};
-pub use summary::{Distribution, FrameAnswer, StageSummary, StreamSummary};
+pub use summary::{CameraFinding, Distribution, FrameAnswer, StageSummary, StreamSummary};
 pub use time::{format_seconds, parse_seconds_ns};
 pub use trajectory::{StampedPose, Trajectory};

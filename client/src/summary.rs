@@ -97,6 +97,22 @@ pub struct StreamSummary {
     pub realtime_factor: f64,
     /// Times the connection was lost and found again.
     pub reconnects: usize,
+    /// What the session found out about the camera, last.
+    #[serde(default)]
+    pub camera: Option<CameraFinding>,
+}
+
+/// How the camera that fits the images best differs from its calibration.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraFinding {
+    /// Relative change of both focal lengths.
+    pub focal: f64,
+    /// Shift of the principal point to the right, in focal lengths.
+    pub centre_x: f64,
+    /// The same downwards.
+    pub centre_y: f64,
+    /// The session goes on with that camera; otherwise it is more than a calibration can be wrong by.
+    pub adopted: bool,
 }
 
 impl StreamSummary {
@@ -124,6 +140,10 @@ impl StreamSummary {
     }
 
     fn count(&mut self, result: &v1::FrameResult) {
+        if let Some(found) = result.corrections.iter().rev().find_map(|correction| correction.camera) {
+            let v1::CameraCorrection { focal, centre_x, centre_y, adopted } = found;
+            self.camera = Some(CameraFinding { focal, centre_x, centre_y, adopted });
+        }
         self.repeated += usize::from(result.repeated);
         match result.state() {
             v1::TrackingState::Tracked => self.tracked += 1,

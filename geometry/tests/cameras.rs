@@ -3,7 +3,7 @@
 mod support;
 
 use geometry::nalgebra::{Vector2, Vector3};
-use geometry::{Camera, CameraModel, CameraParameters, Pinhole};
+use geometry::{Camera, CameraModel, CameraParameters, Pinhole, PinholeCorrection};
 use rand::Rng;
 use support::{assert_close, generators, numeric_jacobian};
 
@@ -238,4 +238,52 @@ fn wrong_calibrations_are_refused_by_field() {
         }),
         "distortion"
     );
+}
+
+const CORRECTION: PinholeCorrection = PinholeCorrection { focal: -0.02, centre_x: 0.01, centre_y: -0.005 };
+
+#[test]
+fn a_corrected_camera_sees_the_same_pixels_by_other_rays() {
+    for nominal in all_cameras() {
+        let camera = nominal.with_correction(CORRECTION);
+        assert_eq!(camera.pinhole(), CORRECTION.apply(&nominal.pinhole()));
+        assert_eq!(camera.undistorted_bounds(), nominal.undistorted_bounds());
+        for pixel in pixels(&camera) {
+            assert_eq!(camera.undistort(&pixel), nominal.undistort(&pixel));
+            let Some(bearing) = camera.unproject(&pixel) else { panic!("{camera:?} at {pixel}") };
+            let back = camera.project(&(bearing * 2.3)).unwrap();
+            assert!((back - pixel).norm() < 1e-8, "{:?} at {pixel}", camera.parameters().model);
+            if let Some(undistorted) = camera.undistort(&pixel) {
+                let error = (camera.pinhole().bearing(&undistorted) - bearing).norm();
+                assert!(error < 1e-8, "{:?} at {pixel}: {error:e}", camera.parameters().model);
+            }
+        }
+        let point = Vector3::new(0.1, -0.2, 1.3);
+        let (_, jacobian) = camera.project_with_jacobian(&point).unwrap();
+        let numeric = numeric_jacobian(|p| camera.project(p).unwrap(), &point, 1e-6);
+        assert_close(&jacobian, &numeric, 1e-7, "corrected");
+    }
+}
+
+#[test]
+fn a_correction_means_the_same_at_every_size() {
+    for nominal in all_cameras() {
+        let (one, other) = (
+            nominal.with_correction(CORRECTION).scaled(0.5, 0.5),
+            nominal.scaled(0.5, 0.5).with_correction(CORRECTION),
+        );
+        assert_eq!(one, other);
+        let bearing = Vector3::new(0.1, 0.05, 1.0);
+        let full = nominal.with_correction(CORRECTION).project(&bearing).unwrap();
+        let half = one.project(&bearing).unwrap();
+        assert!(((full.add_scalar(0.5)) * 0.5 - half.add_scalar(0.5)).norm() < 1e-9);
+    }
+}
+
+#[test]
+fn rays_go_there_and_back() {
+    let ray = Vector3::new(0.3, -0.4, 1.2);
+    let there = CORRECTION.nominal_from_corrected() * ray;
+    assert!((CORRECTION.corrected_from_nominal() * there - ray).norm() < 1e-15);
+    assert!(PinholeCorrection::default().is_none() && !CORRECTION.is_none());
 }

@@ -1,8 +1,8 @@
 //! What came of one frame: values with the measurements beside the thresholds they were held against.
 
 use crate::map::{FrameState, KeyframeId, SubmapId};
-use geometry::{PinholeCorrection, Pose};
 use geometry::nalgebra::Vector3;
+use geometry::{PinholeCorrection, Pose};
 use std::fmt;
 use vision::lines::LineTrackingStatistics;
 

@@ -49,7 +49,8 @@ impl Store {
         let row = row.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?;
         let (number, record) = parse_session(&row)?;
         let working_camera = config.working_camera(&record.checked_camera()?);
-        let settings = FeatureSettings { pinhole: working_camera.nominal_pinhole(), pyramid: config.pyramid() };
+        let settings =
+            FeatureSettings { pinhole: working_camera.nominal_pinhole(), pyramid: config.pyramid() };
 
         let keyframes = read_keyframes(&mut transaction, number, Arc::new(working_camera), settings).await?;
         let points = read_landmarks(&mut transaction, number, ("points", POINT_COLUMNS), parse_point).await?;

@@ -1,6 +1,6 @@
 //! The summary of a stream, for people.
 
-use client::{Distribution, StreamSummary};
+use client::{CameraFinding, Distribution, StreamSummary};
 
 /// A table of what became of the frames, what the session holds, and where the time went.
 pub fn summary(s: &StreamSummary) -> String {
@@ -43,7 +43,27 @@ pub fn summary(s: &StreamSummary) -> String {
     if s.reconnects > 0 {
         row("reconnects", s.reconnects.to_string());
     }
+    if let Some(found) = &s.camera {
+        row("calibration", camera_sentence(found));
+    }
     text
+}
+
+/// What was found out about the camera, for whoever can act on it.
+fn camera_sentence(found: &CameraFinding) -> String {
+    let CameraFinding { focal, centre_x, centre_y, adopted } = found;
+    let [focal, right, down] = [focal, centre_x, centre_y].map(|share| 100.0 * share);
+    let camera = format!(
+        "focal length {focal:+.1} %, principal point {right:+.1} % of it to the right and {down:+.1} % down"
+    );
+    if *adopted {
+        format!("put right: {camera}")
+    } else {
+        format!(
+            "contradicted by the images, which would fit {camera}: used as given. Were they resized or cropped, or is the \
+             lens described wrongly?"
+        )
+    }
 }
 
 /// `median (p95 …)`.

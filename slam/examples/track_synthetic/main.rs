@@ -9,6 +9,8 @@
 //! | `--backwards` | from the last frame to the first: an error that turns round with the walk is the data's |
 //! | `--engine-seed N` | the engine's random numbers; otherwise the sequence's seed |
 //! | `--no-loops`, `--no-lines`, `--no-primitives` | switches features off |
+//! | `--no-calibration` | takes the calibration as it is given |
+//! | `--focal-error SHARE`, `--centre-error SHARE` | gives a wrong calibration: the focal length too long, the principal point too far to the right, as shares of the focal length |
 //! | `--runs N` | every seed with so many of the engine's; the table shows the medians |
 //! | `--compare-primitives` | runs every seed without and with primitives, and prints a table of both |
 //! | `--segments` | only prints how far segments lie from the true edges |
@@ -37,6 +39,7 @@ mod spans;
 mod table;
 
 use common::{Arguments, WallClock};
+use geometry::{Camera, CameraParameters};
 use recording::Recording;
 use revisit::Revisit;
 use run::Run;
@@ -107,6 +110,16 @@ fn runs(
     Ok(Row::median_of(rows.collect::<Result<_, _>>()?))
 }
 
+/// The camera as the engine is told of it.
+fn given_camera(camera: &Camera, arguments: &Arguments) -> Result<Camera, Box<dyn Error>> {
+    let share = |name: &str| arguments.value(name).map_or(Ok(0.0), |share| share.parse::<f64>());
+    let (focal, centre) = (share("--focal-error")?, share("--centre-error")?);
+    let true_to = camera.parameters();
+    let (fx, fy) = (true_to.fx * (1.0 + focal), true_to.fy * (1.0 + focal));
+    let cx = true_to.cx + true_to.fx * centre;
+    Ok(Camera::new(CameraParameters { fx, fy, cx, ..true_to.clone() })?)
+}
+
 fn track(
     preset: Preset,
     seed: u64,
@@ -125,8 +138,8 @@ fn track(
     config.features.lines = !flag("--no-lines");
     config.features.global_primitives = with_primitives;
     let clock = Arc::new(WallClock::start());
-    let mut pipeline =
-        Pipeline::resume(config.clone(), recording.camera().clone(), clock, ResumeState::default())?;
+    let camera = given_camera(recording.camera(), arguments)?;
+    let mut pipeline = Pipeline::resume(config.clone(), camera, clock, ResumeState::default())?;
 
     let n_frames = value("--frames").map_or(Ok(recording.len()), |n| n.parse())?.min(recording.len());
     let mut run = Run::default();

@@ -49,7 +49,7 @@ struct Calibration {
 /// Looks at the camera of a submap. `before` is what made the last look doubtful. `None` if `aborted` said so.
 ///
 /// Errors of keypoints that are not independent feign small errors of the camera, with a χ² that looks significant. They
-/// differ from one look to the next, while the camera stays the same: hence two looks have to agree.
+/// differ from one look to the next, while the camera stays the same: hence two looks have to agree, unless one is beyond doubt.
 pub(crate) fn examine(
     map: &Map,
     submap: SubmapId,
@@ -68,7 +68,7 @@ pub(crate) fn examine(
         Verdict::Confirmed
     } else if *conflict > chi2_95(3) {
         Verdict::Contradicted(*unheld)
-    } else if before.is_some_and(agrees) {
+    } else if *gain >= config.certain_gain || before.is_some_and(agrees) {
         Verdict::Refined(estimate)
     } else {
         Verdict::Doubtful(*correction)

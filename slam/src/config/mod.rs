@@ -457,6 +457,7 @@ impl SlamConfig {
                 "must be at least loops.min_first_inliers, which must be at least 3",
             );
         }
+        self.calibration.validate()?;
         if !(self.loops.max_scale_change >= 1.0 && self.loops.max_drift_share >= 0.0) {
             return refuse(
                 "loops.max_scale_change",

@@ -1,6 +1,7 @@
 //! Taking a stored map up again, and checking that a map is consistent.
 
 use super::{GlobalPrimitive, Keyframe, LineLandmark, Map, MapError, MapParts, Observation};
+use geometry::PinholeCorrection;
 use std::sync::Arc;
 
 impl Map {
@@ -65,6 +66,13 @@ impl Map {
     /// # Errors
     /// The first thing that is wrong.
     pub fn check(&self) -> Result<(), MapError> {
+        let PinholeCorrection { focal, centre_x, centre_y } = self.correction;
+        if !([focal, centre_x, centre_y].iter().all(|value| value.is_finite()) && focal > -1.0) {
+            return Err(MapError(format!(
+                "the correction of the camera, {:?}, leaves none",
+                self.correction
+            )));
+        }
         self.keyframes().try_for_each(|keyframe| self.check_keyframe(keyframe))?;
         self.lines().try_for_each(|line| self.check_line(line))?;
         self.primitives().try_for_each(|primitive| self.check_primitive(primitive))?;

@@ -51,13 +51,7 @@ impl GlobalStage {
     }
 
     /// Begins to adjust a submap. Returns the result if it is there at once.
-    pub fn start(
-        &mut self,
-        task: Task,
-        map: &Map,
-        submap: SubmapId,
-        config: &SlamConfig,
-    ) -> Option<Done> {
+    pub fn start(&mut self, task: Task, map: &Map, submap: SubmapId, config: &SlamConfig) -> Option<Done> {
         self.cancel();
         let abort = Arc::new(AtomicBool::new(false));
         if self.threading == Threading::Inline {

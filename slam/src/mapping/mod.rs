@@ -19,8 +19,8 @@ use crate::map::{
 };
 use crate::report::{LineJudgement, MapEvent};
 use crate::tracking::Sightings;
-use geometry::nalgebra::Vector3;
 use camera::CameraWatch;
+use geometry::nalgebra::Vector3;
 use global_stage::{Done, GlobalStage, Task};
 use lines::LineMapper;
 use primitives::PrimitiveMapper;

@@ -1,8 +1,8 @@
 use crate::world::*;
-use geometry::Pose;
+use geometry::{PinholeCorrection, Pose};
 use nalgebra::Vector3;
 use slam::config::SlamConfig;
-use slam::map::{FrameState, LastIds, MapChanges, RemovedKeyframe, SubmapId};
+use slam::map::{FrameState, LastIds, MapChanges, MapParts, RemovedKeyframe, SubmapId};
 use slam::{Keyframe, Map, MapUpdate, NoClock, Pipeline};
 use std::sync::Arc;
 use store::{KeyframeImage, SessionCounts, Store, StoreError, StoreOptions};
@@ -41,6 +41,41 @@ async fn a_saved_map_comes_back_bit_for_bit() {
     let resumed = pipeline.map();
     assert_eq!((resumed.n_points(), resumed.n_lines(), resumed.n_primitives()), (60, 25, 4));
     assert_same_parts(&resumed.to_parts(), &saved);
+}
+
+#[tokio::test]
+async fn a_camera_that_was_put_right_comes_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = store_with_session(folder.path()).await;
+    let correction = PinholeCorrection { focal: -0.013, centre_x: 0.002, centre_y: 0.1 + 0.2 };
+    let saved = MapParts { correction, ..parts(12, SMALL) };
+    let update = first_update(&saved);
+    store.save_update("s", &update, TRACKED, &[]).await.unwrap();
+    let record = store.get_session("s").await.unwrap();
+    assert_eq!((record.correction, record.refined_camera()), (PinholeCorrection::default(), None));
+
+    let changes = MapChanges { correction: true, ..MapChanges::default() };
+    let update = MapUpdate { map: update.map, changes, frames: vec![] };
+    store.save_update("s", &update, TRACKED, &[]).await.unwrap();
+    store.close().await.unwrap();
+    let store = Store::open(store.path(), StoreOptions::default()).await.unwrap();
+    let loaded = store.load_session("s", &SlamConfig::default()).await.unwrap();
+    let given = loaded.record.checked_camera().unwrap();
+    let refined = loaded.record.refined_camera().unwrap();
+    assert_eq!(refined.fx, given.parameters().fx * (1.0 - 0.013));
+    assert_eq!(store.check().await.unwrap(), []);
+
+    let config = SlamConfig { threading: slam::Threading::Inline, ..SlamConfig::default() };
+    let resumed = Pipeline::resume(config, given, Arc::new(NoClock), loaded.resume).unwrap().map();
+    assert_eq!(resumed.correction(), correction);
+    assert_same_parts(&resumed.to_parts(), &update.map.to_parts());
+
+    // What cannot be a camera is not stored.
+    let broken =
+        MapParts { correction: PinholeCorrection { focal: f64::NAN, ..correction }, ..parts(12, SMALL) };
+    let changes = MapChanges { correction: true, ..MapChanges::default() };
+    let update = MapUpdate { map: map(&broken), changes, frames: vec![] };
+    assert!(matches!(store.save_update("s", &update, TRACKED, &[]).await, Err(StoreError::NotFinite(_))));
 }
 
 #[tokio::test]

@@ -41,7 +41,8 @@ impl Factor for CalibratedReprojectionFactor {
     ) -> Option<Vector2<f64>> {
         let in_camera = camera_from_world.transform(point);
         let pinhole = correction_of(correction).apply(&self.nominal);
-        (in_camera.z > MIN_DEPTH).then(|| (self.observed_px - pinhole.project(&in_camera)) * self.inverse_sigma)
+        (in_camera.z > MIN_DEPTH)
+            .then(|| (self.observed_px - pinhole.project(&in_camera)) * self.inverse_sigma)
     }
 
     #[inline]
@@ -65,8 +66,7 @@ impl Factor for CalibratedReprojectionFactor {
             .copy_from(&(d_residual_d_in_camera * -so3::skew(&in_camera)));
         d_residual_d_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(&d_residual_d_in_camera);
         let (x, y) = (in_camera.x / in_camera.z, in_camera.y / in_camera.z);
-        let d_residual_d_correction =
-            Matrix2x3::new(fx * x, fx, 0.0, fy * y, 0.0, fy) * -self.inverse_sigma;
+        let d_residual_d_correction = Matrix2x3::new(fx * x, fx, 0.0, fy * y, 0.0, fy) * -self.inverse_sigma;
         Some((residual, (d_residual_d_pose, d_residual_d_correction, d_residual_d_in_camera * rotation)))
     }
 }
