@@ -70,12 +70,9 @@ async fn a_camera_that_was_put_right_comes_back() {
     assert_eq!(resumed.correction(), correction);
     assert_same_parts(&resumed.to_parts(), &update.map.to_parts());
 
-    // What cannot be a camera is not stored.
-    let broken =
-        MapParts { correction: PinholeCorrection { focal: f64::NAN, ..correction }, ..parts(12, SMALL) };
-    let changes = MapChanges { correction: true, ..MapChanges::default() };
-    let update = MapUpdate { map: map(&broken), changes, frames: vec![] };
-    assert!(matches!(store.save_update("s", &update, TRACKED, &[]).await, Err(StoreError::NotFinite(_))));
+    // What cannot be a camera is refused.
+    let broken = PinholeCorrection { focal: f64::NAN, ..correction };
+    assert!(Map::from_parts(MapParts { correction: broken, ..parts(12, SMALL) }).is_err());
 }
 
 #[tokio::test]
