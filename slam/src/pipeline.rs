@@ -108,7 +108,7 @@ impl Pipeline {
             front_end,
             mapping,
             tracker,
-            initialiser: is_empty.then(|| Initialiser::new(config.initialisation.clone(), config.seed)),
+            initialiser: is_empty.then(|| Initialiser::new(&config)),
             backfill: Backfill::new(config.clone()),
             submap: map.submaps().last().copied().unwrap_or_default(),
             last_submap: map.submaps().last().copied().unwrap_or_default(),
@@ -373,7 +373,7 @@ impl Pipeline {
         self.tracker.forget();
         self.last_submap = SubmapId(self.last_submap.max(self.submap).0 + 1);
         self.submap = self.last_submap;
-        self.initialiser = Some(Initialiser::new(self.config.initialisation.clone(), self.config.seed));
+        self.initialiser = Some(Initialiser::new(&self.config));
         self.choose_n_features();
     }
 

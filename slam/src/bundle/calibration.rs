@@ -24,13 +24,22 @@ pub(crate) struct Estimate {
     points: Vec<(PointId, Vector3<f64>)>,
 }
 
+/// What makes a camera doubtful.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Doubt {
+    /// How it seems to differ from the calibration.
+    correction: PinholeCorrection,
+    /// It seems to differ by more than a calibration can be wrong by.
+    is_contradiction: bool,
+}
+
 /// What the images say of the camera.
 #[derive(Clone, Debug)]
 pub(crate) enum Verdict {
     /// Nothing against the present one.
     Confirmed,
     /// It may be another; the next look at it will tell.
-    Doubtful(PinholeCorrection),
+    Doubtful(Doubt),
     /// It is another, to within the tolerance of the calibration.
     Refined(Estimate),
     /// It would have to be another beyond that, so that something else must be wrong with the calibration.
@@ -53,25 +62,26 @@ struct Calibration {
 pub(crate) fn examine(
     map: &Map,
     submap: SubmapId,
-    before: Option<PinholeCorrection>,
+    before: Option<Doubt>,
     config: &CalibrationConfig,
     aborted: impl Fn() -> bool + Copy,
 ) -> Option<Verdict> {
     let estimate = estimate(map, submap, config, aborted)?;
     let Estimate { correction, gain, conflict, unheld, .. } = &estimate;
     tracing::debug!(%submap, ?correction, gain, conflict, ?unheld, "camera that explains the submap best");
-    let agrees = |before: PinholeCorrection| {
-        let (before, now) = (vector_of(&before), vector_of(correction));
+    let agrees = |before: Doubt| {
+        let (before, now) = (vector_of(&before.correction), vector_of(correction));
         (now - before).norm() <= config.max_disagreement * now.norm()
     };
+    let doubt = Doubt { correction: *correction, is_contradiction: *conflict > chi2_95(3) };
     Some(if *gain < config.min_gain {
         Verdict::Confirmed
-    } else if *conflict > chi2_95(3) {
+    } else if doubt.is_contradiction && before.is_some_and(|before| before.is_contradiction) {
         Verdict::Contradicted(*unheld)
-    } else if *gain >= config.certain_gain || before.is_some_and(agrees) {
+    } else if !doubt.is_contradiction && (*gain >= config.certain_gain || before.is_some_and(agrees)) {
         Verdict::Refined(estimate)
     } else {
-        Verdict::Doubtful(*correction)
+        Verdict::Doubtful(doubt)
     })
 }
 

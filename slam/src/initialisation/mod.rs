@@ -6,13 +6,14 @@ mod motion;
 mod third_view;
 mod two_view;
 
+use crate::beside::beside;
 use crate::bundle;
-use crate::config::InitialisationConfig;
+use crate::config::{InitialisationConfig, SlamConfig, Threading};
 use crate::features::View;
 use crate::report::InitialisationWait;
 use geometry::Pose;
 use geometry::nalgebra::Vector3;
-use rand::SeedableRng;
+use rand::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
 use two_view::TwoViewMotion;
@@ -40,11 +41,18 @@ pub(crate) struct Initialiser {
     /// Views tried since the start.
     n_waited: usize,
     rng: ChaCha8Rng,
+    threading: Threading,
 }
 
 impl Initialiser {
-    pub fn new(config: InitialisationConfig, seed: u64) -> Self {
-        Self { config, views: VecDeque::new(), n_waited: 0, rng: ChaCha8Rng::seed_from_u64(seed) }
+    pub fn new(config: &SlamConfig) -> Self {
+        Self {
+            config: config.initialisation.clone(),
+            views: VecDeque::new(),
+            n_waited: 0,
+            rng: ChaCha8Rng::seed_from_u64(config.seed),
+            threading: config.threading,
+        }
     }
 
     /// Tries to start a map with this view as the second one; keeps it as a possible first one otherwise.
@@ -73,7 +81,7 @@ impl Initialiser {
         self.views.push_back(view);
     }
 
-    /// Tries pairs from the widest baseline to shorter ones.
+    /// Tries pairs from the widest baseline to shorter ones: the widest beside the others, unless all is to be inline.
     fn attempt(&mut self, view: &View) -> Result<InitialPair, InitialisationWait> {
         let mut wait = InitialisationWait::FirstView;
         let mut oldest_matches = Vec::new();
@@ -93,19 +101,26 @@ impl Initialiser {
             .filter(|at| *at < n)
             .collect();
         positions.dedup();
-        for position in positions {
-            let reference = self.views[position].clone();
-            let matches = if position == 0 {
-                std::mem::take(&mut oldest_matches)
-            } else {
-                self.matches(&reference, view)
-            };
-            match self.try_pair(&reference, view, &matches) {
-                Ok(pair) => return Ok(pair),
-                Err(reason) => wait = more_telling(wait, reason),
+        let Some((widest, others)) = positions.split_first() else { return Err(wait) };
+        // Random numbers of their own, so that the threads do not matter.
+        let mut rngs = [self.rng.next_u64(), self.rng.next_u64()].map(ChaCha8Rng::seed_from_u64);
+        let [rng, rng_of_others] = &mut rngs;
+        let try_widest = || self.try_pair(&self.views[*widest], view, &oldest_matches, rng);
+        let try_others = || {
+            let mut tried = others.iter().map(|position| {
+                let reference = &self.views[*position];
+                self.try_pair(reference, view, &self.matches(reference, view), rng_of_others)
+            });
+            first_success(&mut tried)
+        };
+        let tried = match self.threading {
+            Threading::Background if !others.is_empty() => {
+                let (widest, others) = beside("initialise", try_widest, try_others);
+                first_success(&mut [widest, others].into_iter())
             }
-        }
-        Err(wait)
+            _ => first_success(&mut std::iter::once_with(try_widest).chain(std::iter::once_with(try_others))),
+        };
+        tried.map_err(|reason| more_telling(wait, reason))
     }
 
     fn matches(&self, first: &View, second: &View) -> Vec<(usize, usize)> {
@@ -114,17 +129,17 @@ impl Initialiser {
     }
 
     fn try_pair(
-        &mut self,
+        &self,
         first: &View,
         second: &View,
         matches: &[(usize, usize)],
+        rng: &mut ChaCha8Rng,
     ) -> Result<InitialPair, InitialisationWait> {
         let (n_matches, n_required) = (matches.len(), self.config.min_matches);
         if n_matches < n_required {
             return Err(InitialisationWait::TooFewMatches { n_matches, n_required });
         }
-        let motion =
-            two_view::solve(&first.features, &second.features, matches, &self.config, &mut self.rng)?;
+        let motion = two_view::solve(&first.features, &second.features, matches, &self.config, rng)?;
         let (pair, direction_sigma_deg) = refine(first, second, matches, &motion);
         let n_agreeing = pair.points.len();
         let required_deg = self.max_direction_sigma_deg();
@@ -134,7 +149,7 @@ impl Initialiser {
         if n_agreeing < self.config.min_points {
             return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
         }
-        self.confirm(pair)
+        self.confirm(pair, rng)
     }
 
     /// How well the direction of motion must be known. A camera that has moved for long without a good pair will hardly
@@ -146,7 +161,7 @@ impl Initialiser {
     }
 
     /// A further view must see the points where the motion puts them: one between the two, or else one before them.
-    fn confirm(&mut self, pair: InitialPair) -> Result<InitialPair, InitialisationWait> {
+    fn confirm(&self, pair: InitialPair, rng: &mut ChaCha8Rng) -> Result<InitialPair, InitialisationWait> {
         let inside =
             |view: &&View| view.sequence > pair.first.sequence && view.sequence < pair.second.sequence;
         let between: Vec<&View> = self.views.iter().filter(inside).collect();
@@ -154,13 +169,27 @@ impl Initialiser {
         let Some(third) = between.get(between.len() / 2).copied().or(before) else {
             return Err(InitialisationWait::FirstView);
         };
-        let (n_confirmed, n_looked_for) = third_view::confirm(&pair, third, &self.config, &mut self.rng);
+        let (n_confirmed, n_looked_for) = third_view::confirm(&pair, third, &self.config, rng);
         if (n_confirmed as f64) < self.config.min_third_view_share * n_looked_for as f64 {
             let (n_agreeing, n_matches) = (n_confirmed, n_looked_for);
             return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
         }
         Ok(pair)
     }
+}
+
+/// The first that succeeded, later ones not tried; else the most telling reason.
+fn first_success(
+    attempts: &mut dyn Iterator<Item = Result<InitialPair, InitialisationWait>>,
+) -> Result<InitialPair, InitialisationWait> {
+    let mut wait = InitialisationWait::FirstView;
+    for attempt in attempts {
+        match attempt {
+            Ok(pair) => return Ok(pair),
+            Err(reason) => wait = more_telling(wait, reason),
+        }
+    }
+    Err(wait)
 }
 
 /// The reason that is nearer to success: few matches, then little parallax, then ambiguity.

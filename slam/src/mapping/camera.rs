@@ -1,11 +1,10 @@
 //! Keeping an eye on the camera: when it is looked at whether its calibration is true, and what comes of it.
 
-use crate::bundle::calibration::{Verdict, examine};
+use crate::bundle::calibration::{Doubt, Verdict, examine};
 use crate::bundle::global::{GlobalResult, adjust_to_camera};
 use crate::config::{CalibrationConfig, SlamConfig};
 use crate::map::{Map, SubmapId};
 use crate::report::MapEvent;
-use geometry::PinholeCorrection;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// When the camera is looked at next, and what was found so far.
@@ -14,14 +13,14 @@ pub(super) struct CameraWatch {
     /// Key frames from which on it is looked at again.
     next_keyframes: usize,
     /// What the last look found, if that was doubtful.
-    doubt: Option<PinholeCorrection>,
+    doubt: Option<Doubt>,
     /// Looking again would not help.
     is_over: bool,
 }
 
 /// What a look at the camera came to.
 pub(super) struct Look {
-    doubt: Option<PinholeCorrection>,
+    doubt: Option<Doubt>,
     event: Option<MapEvent>,
     /// The submap as it is with another camera.
     pub adjusted: Option<GlobalResult>,
@@ -47,7 +46,7 @@ impl CameraWatch {
     }
 
     /// What made the last look doubtful.
-    pub fn doubt(&self) -> Option<PinholeCorrection> {
+    pub fn doubt(&self) -> Option<Doubt> {
         self.doubt
     }
 
@@ -63,7 +62,7 @@ impl CameraWatch {
 pub(super) fn look(
     map: &Map,
     submap: SubmapId,
-    doubt: Option<PinholeCorrection>,
+    doubt: Option<Doubt>,
     config: &SlamConfig,
     abort: &AtomicBool,
 ) -> Option<Look> {
@@ -71,7 +70,7 @@ pub(super) fn look(
     let nothing = Look { doubt: None, event: None, adjusted: None };
     Some(match examine(map, submap, doubt, &config.calibration, aborted)? {
         Verdict::Confirmed => nothing,
-        Verdict::Doubtful(correction) => Look { doubt: Some(correction), ..nothing },
+        Verdict::Doubtful(doubt) => Look { doubt: Some(doubt), ..nothing },
         Verdict::Refined(estimate) => Look {
             adjusted: Some(adjust_to_camera(map, submap, Some(&estimate), config, abort)?),
             event: Some(MapEvent::CalibrationRefined { correction: estimate.correction }),

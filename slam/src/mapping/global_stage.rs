@@ -1,10 +1,10 @@
 //! Where global bundle adjustment runs: at once, or on a thread of its own beside tracking and mapping.
 
 use super::camera::{Look, look};
+use crate::bundle::calibration::Doubt;
 use crate::bundle::global::{GlobalResult, adjust};
 use crate::config::{SlamConfig, Threading};
 use crate::map::{Map, SubmapId};
-use geometry::PinholeCorrection;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -21,7 +21,7 @@ pub(super) enum Task {
     /// Poses, landmarks and primitives of a submap are adjusted.
     AdjustMap,
     /// The camera is looked at, and the submap adjusted to it if it turns out to be another than was thought.
-    LookAtCamera { doubt: Option<PinholeCorrection> },
+    LookAtCamera { doubt: Option<Doubt> },
 }
 
 /// What came of it.
