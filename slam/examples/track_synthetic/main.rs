@@ -5,6 +5,7 @@
 //! | option | what it does |
 //! | --- | --- |
 //! | `--inline` | all stages in turn on one thread, the same each time |
+//! | `--realtime` | frames come as recorded, and tracking does not wait for mapping |
 //! | `--frames N` | only the first N |
 //! | `--backwards` | from the last frame to the first: an error that turns round with the walk is the data's |
 //! | `--engine-seed N` | the engine's random numbers; otherwise the sequence's seed |
@@ -50,6 +51,7 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 use synthetic::Preset;
 use table::Row;
 
@@ -143,8 +145,14 @@ fn track(
 
     let n_frames = value("--frames").map_or(Ok(recording.len()), |n| n.parse())?.min(recording.len());
     let mut run = Run::default();
+    pipeline.set_lossless(!flag("--realtime"));
+    let start = Instant::now();
     for index in 0..n_frames {
         let timestamp_ns = recording.timestamp_ns(index);
+        if flag("--realtime") {
+            let due = Duration::from_nanos((timestamp_ns - recording.timestamp_ns(0)) as u64);
+            std::thread::sleep(due.saturating_sub(start.elapsed()));
+        }
         let report = pipeline.process_frame(Frame {
             sequence: index as u64,
             timestamp_ns,
