@@ -8,8 +8,8 @@ use std::sync::Arc;
 use synthetic::{Preset, Sequence};
 use vision::GrayImage;
 
-/// Every second frame around the room.
-const STEP: usize = 2;
+/// Every third frame around the room.
+const STEP: usize = 3;
 
 struct Walk {
     sequence: Sequence,
