@@ -71,12 +71,12 @@ impl Tally {
         }
     }
 
-    /// No step removes as many true candidates as false ones, or more.
+    /// Every step removes more false candidates than true ones.
     fn check_steps(&self) {
         for step in [LineVerdict::Reprojection, LineVerdict::Sensitivity, LineVerdict::Overlap] {
             let [n_false, n_true] = self.candidates.get(&step).copied().unwrap_or_default();
             assert!(
-                n_false > n_true || n_false + n_true == 0,
+                n_false > n_true,
                 "{}: removed {n_false} false lines and {n_true} true ones",
                 step.name()
             );
@@ -135,23 +135,22 @@ fn study(preset: Preset, seeds: std::ops::RangeInclusive<u64>, n_frames: usize, 
     sum
 }
 
-/// Every second of the first 100 frames: enough for ten key frames, in a tenth of the time of the whole circle.
+/// Every sixth of 300 frames, once round the room at five frames a second: at the full rate, segments that are followed
+/// from frame to frame hardly ever go astray, and verification would have little to show.
 #[test]
 fn lines_of_twenty_poor_rooms_are_true_and_verification_removes_false_ones() {
-    let sum = study(Preset::RoomPoor, 1..=20, 50, 2);
-    assert!(sum.n_lines >= 20 * 30, "only {} lines", sum.n_lines);
+    let sum = study(Preset::RoomPoor, 1..=20, 50, 6);
+    assert!(sum.n_lines >= 20 * 60, "only {} lines", sum.n_lines);
     let (angle_deg, distance) = (sum.median(|error| error.angle_deg), sum.median(|error| error.distance));
-    assert!(angle_deg < 0.4 && distance < 0.02, "median error {angle_deg:.2} degrees, {distance:.4} m");
-    assert!(sum.share_right() > 0.45, "{:.2} within 1 degree and 2 cm", sum.share_right());
+    assert!(angle_deg < 0.2 && distance < 0.02, "median error {angle_deg:.2} degrees, {distance:.4} m");
+    assert!(sum.share_right() > 0.5, "{:.2} within 1 degree and 2 cm", sum.share_right());
     sum.check_steps();
-    // The other two find nothing to remove in these rooms: see the figures of more.
-    let [n_false, _] = sum.candidates.get(&LineVerdict::Reprojection).copied().unwrap_or_default();
-    assert!(n_false >= 3, "reprojection removed only {n_false} false lines");
 }
 
 #[test]
 #[ignore = "takes minutes: prints the figures of docs/LINES.md"]
 fn figures_of_many_rooms_and_corridors() {
     study(Preset::RoomPoor, 1..=60, 75, 2).check_steps();
+    study(Preset::RoomPoor, 1..=20, 75, 4).check_steps();
     study(Preset::CorridorStraight, 1..=6, 100, 1);
 }

@@ -34,9 +34,12 @@ pub struct LineConfig {
     /// Sensitivity: largest angle by which the line may depart from being seen squarely, degrees (α of the paper).
     /// Default 75.
     pub max_sensitivity_deg: f64,
-    /// Overlap: least part that segment and visible projection have in common, as a share of the shorter (r of the
-    /// paper, there of the segment). Default 0.3.
+    /// Overlap of a sighting: least part that segment and visible projection have in common, as a share of the shorter,
+    /// as either may be a fragment of the edge. Default 0.3.
     pub min_overlap: f64,
+    /// Overlap of a new line: least share of its visible part that each of two views must show (r of the paper, there of
+    /// the segment). Default 0.5: ends that no two views saw together belong to two edges more often than to one.
+    pub min_covered: f64,
     /// Depth at which a line may lie at most, in median depths of the scene. Default 20.
     pub max_depth_share: f64,
     /// A young line found in less than this share of the frames that should see it goes. Default 0.25.
@@ -67,6 +70,7 @@ impl Default for LineConfig {
             max_end_distance_px: 4.0,
             max_sensitivity_deg: 75.0,
             min_overlap: 0.3,
+            min_covered: 0.5,
             max_depth_share: 20.0,
             min_found_ratio: 0.25,
             probation_keyframes: 3,

@@ -16,8 +16,8 @@ pub(crate) enum Verdict {
     Overlap,
 }
 
-/// Views that must show the same part of a line. A further one that shows another part of it still confirms its place.
-const MIN_OVERLAPPING_VIEWS: usize = 2;
+/// Views that must each show enough of a new line. A further one that shows another part of it still confirms its place.
+const MIN_COVERING_VIEWS: usize = 2;
 
 /// The views that agree with a line, or the test after which too few did.
 pub(super) fn verify(
@@ -25,53 +25,98 @@ pub(super) fn verify(
     views: &[TrackView],
     config: &LineConfig,
 ) -> Result<Vec<Observation>, LineVerdict> {
-    let verdicts: Vec<Verdict> = views.iter().map(|view| judge(endpoints, view, config)).collect();
-    let mut n_left = views.len();
-    for (test, n_required, refusal) in [
-        (Verdict::Reprojection, config.min_views, LineVerdict::Reprojection),
-        (Verdict::Sensitivity, config.min_views, LineVerdict::Sensitivity),
-        (Verdict::Overlap, MIN_OVERLAPPING_VIEWS, LineVerdict::Overlap),
-    ] {
-        n_left -= verdicts.iter().filter(|verdict| **verdict == test).count();
-        if n_left < n_required {
-            return Err(refusal);
-        }
+    let compared: Vec<_> = views
+        .iter()
+        .map(|view| {
+            let comparison = Comparison::of(endpoints, view);
+            (
+                view.seen,
+                comparison.as_ref().map_or(Verdict::Reprojection, |it| it.verdict(config)),
+                comparison,
+            )
+        })
+        .collect();
+    let n_without = |tests: &[Verdict]| compared.iter().filter(|(_, test, _)| !tests.contains(test)).count();
+    if n_without(&[Verdict::Reprojection]) < config.min_views {
+        return Err(LineVerdict::Reprojection);
     }
-    let passed = views.iter().zip(&verdicts).filter(|(_, verdict)| **verdict == Verdict::Passed);
-    Ok(passed.map(|(view, _)| view.seen).collect())
+    if n_without(&[Verdict::Reprojection, Verdict::Sensitivity]) < config.min_views {
+        return Err(LineVerdict::Sensitivity);
+    }
+    let passed = || compared.iter().filter(|(_, verdict, _)| *verdict == Verdict::Passed);
+    let covers = |comparison: &Comparison| comparison.covered_share() >= config.min_covered;
+    if passed().filter(|(.., comparison)| comparison.as_ref().is_some_and(covers)).count()
+        < MIN_COVERING_VIEWS
+    {
+        return Err(LineVerdict::Overlap);
+    }
+    Ok(passed().map(|(seen, ..)| *seen).collect())
 }
 
-/// Tests a line, given by its ends, against a segment that should see it. Segment and projection are compared where the
-/// image can show both: most edges go on outside of it.
+/// Tests a line, given by its ends, against a segment that should see it.
 pub(crate) fn judge(endpoints: &[Vector3<f64>; 2], view: &TrackView, config: &LineConfig) -> Verdict {
-    let visible = project_segment(endpoints, &view.camera_from_world, &view.pinhole, &view.bounds);
-    let Some([projected_start, projected_end]) = visible else { return Verdict::Reprojection };
-    let projected = projected_end - projected_start;
-    let segment = &view.segment;
-    let vector = segment.end - segment.start;
-    let (projected_length, length) = (projected.norm(), vector.norm());
-    let from_line =
-        |pixel| projected.perp(&(pixel - projected_start)).abs() / projected_length.max(f64::MIN_POSITIVE);
-    let end_distance = f64::max(from_line(segment.start), from_line(segment.end));
-    let projected_midpoint = (projected_start + projected_end) / 2.0;
-    let midpoint_distance = (projected_midpoint - segment.midpoint()).norm();
-    let max_midpoint_distance = config.max_midpoint_distance * 0.5 * (projected_length + length);
-    if end_distance > config.max_end_distance_px || midpoint_distance > max_midpoint_distance {
-        return Verdict::Reprojection;
+    Comparison::of(endpoints, view).map_or(Verdict::Reprojection, |comparison| comparison.verdict(config))
+}
+
+/// A segment beside the projection of a line that it should see, where the image can show both: most edges go on
+/// outside of it. Lengths in pixels.
+struct Comparison {
+    projected_length: f64,
+    length: f64,
+    /// Of the segment's farther end from the projection.
+    end_distance: f64,
+    midpoint_distance: f64,
+    /// Cosine of the angle between the ray to the projection's middle and the line: 0 if it is seen squarely.
+    ray_cosine: f64,
+    /// What segment and projection have in common, along the segment; negative if there is a gap.
+    common_length: f64,
+}
+
+impl Comparison {
+    /// `None` if nothing of the line is in the image.
+    fn of(endpoints: &[Vector3<f64>; 2], view: &TrackView) -> Option<Self> {
+        let [projected_start, projected_end] =
+            project_segment(endpoints, &view.camera_from_world, &view.pinhole, &view.bounds)?;
+        let segment = &view.segment;
+        let (projected, vector) = (projected_end - projected_start, segment.end - segment.start);
+        let (projected_length, length) = (projected.norm(), vector.norm());
+        let from_line = |pixel| {
+            projected.perp(&(pixel - projected_start)).abs() / projected_length.max(f64::MIN_POSITIVE)
+        };
+        let projected_midpoint = (projected_start + projected_end) / 2.0;
+        let ray = view.camera_from_world.rotation.inverse() * view.pinhole.bearing(&projected_midpoint);
+        let in_space = (endpoints[1] - endpoints[0]).try_normalize(f64::MIN_POSITIVE)?;
+        let along = |pixel: Vector2<f64>| (pixel - segment.start).dot(&vector) / length;
+        let (first, second) = (along(projected_start), along(projected_end));
+        Some(Self {
+            projected_length,
+            length,
+            end_distance: f64::max(from_line(segment.start), from_line(segment.end)),
+            midpoint_distance: (projected_midpoint - segment.midpoint()).norm(),
+            ray_cosine: ray.dot(&in_space).abs(),
+            common_length: first.max(second).min(length) - first.min(second).max(0.0),
+        })
     }
-    // Seen squarely, ray and line are at a right angle.
-    let ray = view.camera_from_world.rotation.inverse() * view.pinhole.bearing(&projected_midpoint);
-    let in_space = endpoints[1] - endpoints[0];
-    if ray.dot(&in_space).abs() > config.max_sensitivity_deg.to_radians().sin() * in_space.norm() {
-        return Verdict::Sensitivity;
+
+    fn verdict(&self, config: &LineConfig) -> Verdict {
+        let max_midpoint_distance =
+            config.max_midpoint_distance * 0.5 * (self.projected_length + self.length);
+        if self.end_distance > config.max_end_distance_px || self.midpoint_distance > max_midpoint_distance {
+            return Verdict::Reprojection;
+        }
+        if self.ray_cosine > config.max_sensitivity_deg.to_radians().sin() {
+            return Verdict::Sensitivity;
+        }
+        if self.common_length >= config.min_overlap * self.length.min(self.projected_length) {
+            Verdict::Passed
+        } else {
+            Verdict::Overlap
+        }
     }
-    let along = |pixel: Vector2<f64>| (pixel - segment.start).dot(&vector) / length;
-    let (first, second) = (along(projected_start), along(projected_end));
-    let common = first.max(second).min(length) - first.min(second).max(0.0);
-    if common >= config.min_overlap * length.min(projected_length) {
-        Verdict::Passed
-    } else {
-        Verdict::Overlap
+
+    /// How much of the line's visible part the segment shows.
+    fn covered_share(&self) -> f64 {
+        self.common_length / self.projected_length.max(f64::MIN_POSITIVE)
     }
 }
 
@@ -139,6 +184,10 @@ mod tests {
         let (left, right) = (([-0.5, 0.1], 0.0), ([0.95, 1.6], 0.0));
         assert_eq!(verdict(&square, &[whole, whole, left]), LineVerdict::Made);
         assert_eq!(verdict(&square, &[whole, left, right]), LineVerdict::Overlap);
+        // Ends that no two views saw together: of each other's part, two show a third.
+        let (first, last) = (([0.0, 0.35], 0.0), ([0.65, 1.0], 0.0));
+        assert_eq!(verdict(&square, &[first, whole, last]), LineVerdict::Overlap);
+        assert_eq!(verdict(&square, &[first, whole, whole]), LineVerdict::Made);
         let behind = [Vector3::new(-0.5, 0.5, -3.0), Vector3::new(0.5, 0.5, -3.0)];
         assert_eq!(verdict(&behind, &[whole, whole, whole]), LineVerdict::Reprojection);
     }
