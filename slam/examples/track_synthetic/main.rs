@@ -20,6 +20,7 @@
 //! | `--relocalise CONTRAST` | then looks for single frames of that contrast in the map |
 //! | `--verbose` | a line a frame |
 //! | `--out FILE` | the trajectory as a TUM file |
+//! | `--truth FILE` | the true trajectory as a TUM file |
 //! | `--images FOLDER` | keeps the images, one folder for each preset and seed, as rendering takes longer than tracking |
 //!
 //! Several seeds make a table as well.
@@ -168,6 +169,9 @@ fn track(
     let places = Places::of(&run.records, &map);
     if let Some(out) = value("--out") {
         std::fs::write(out, places.to_tum(&recording))?;
+    }
+    if let Some(truth) = value("--truth") {
+        std::fs::write(truth, recording.to_tum())?;
     }
     let revisit = Revisit::of(&map, &recording, n_frames);
     let (n_loops, n_merges) = (run.n_loops, run.n_merges);

@@ -1,5 +1,6 @@
 //! A rendered sequence whose images are kept for the next run, and which may be played backwards.
 
+use crate::common::write_pose;
 use geometry::nalgebra::Vector2;
 use geometry::{Camera, Pose};
 use std::error::Error;
@@ -36,6 +37,15 @@ impl Recording {
     /// Of frame `index` as played.
     pub fn timestamp_ns(&self, index: usize) -> i64 {
         self.sequence.timestamp_ns(index)
+    }
+
+    /// The true trajectory.
+    pub fn to_tum(&self) -> String {
+        let mut text = String::new();
+        for index in 0..self.len() {
+            write_pose(&mut text, self.timestamp_ns(index), &self.camera_from_world(index).inverse());
+        }
+        text
     }
 
     /// Of frame `index` as played.
