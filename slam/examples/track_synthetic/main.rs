@@ -16,6 +16,7 @@
 //! | `--compare-primitives` | runs every seed without and with primitives, and prints a table of both |
 //! | `--segments` | only prints how far segments lie from the true edges |
 //! | `--directions` | prints primitives and their segments against the truth |
+//! | `--flow` | prints by how much sightings run ahead of their true motion, or lag behind it |
 //! | `--spans` | prints what the stages of local bundle adjustment take |
 //! | `--relocalise CONTRAST` | then looks for single frames of that contrast in the map |
 //! | `--verbose` | a line a frame |
@@ -30,6 +31,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod directions;
+mod flow;
 mod places;
 mod recording;
 mod relocalise;
@@ -183,6 +185,9 @@ fn track(
     if flag("--directions") {
         directions::print_primitives(&map, &recording);
         directions::print_segments(&map, &recording);
+    }
+    if flag("--flow") {
+        flow::print_flow(&map, &recording);
     }
     if let Some(contrast) = value("--relocalise") {
         relocalise::print_relocalised(&map, &recording, &config, contrast.parse()?)?;

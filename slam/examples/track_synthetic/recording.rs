@@ -1,11 +1,11 @@
 //! A rendered sequence whose images are kept for the next run, and which may be played backwards.
 
 use crate::common::write_pose;
-use geometry::nalgebra::Vector2;
+use geometry::nalgebra::{Vector2, Vector3};
 use geometry::{Camera, Pose};
 use std::error::Error;
 use std::path::{Path, PathBuf};
-use synthetic::{Preset, Sequence, World};
+use synthetic::{Preset, Sequence, VisibleSegment, World};
 use vision::GrayImage;
 
 pub struct Recording {
@@ -60,6 +60,18 @@ impl Recording {
         seen.filter(|edge| edge.contrast >= min_contrast)
             .filter_map(|edge| Some([undistort(&edge.ends_px[0])?, undistort(&edge.ends_px[1])?]))
             .collect()
+    }
+
+    /// The visible edges of frame `index` as played.
+    pub fn visible_segments(&self, index: usize) -> Vec<VisibleSegment> {
+        self.sequence.visible_segments(self.rendered(index))
+    }
+
+    /// What is seen in a direction, camera frame, of frame `index` as played.
+    pub fn cast(&self, index: usize, bearing: &Vector3<f64>) -> Option<Vector3<f64>> {
+        let world_from_camera = self.camera_from_world(index).inverse();
+        let direction = world_from_camera.rotation * bearing.normalize();
+        Some(self.world().cast_ray(&world_from_camera.translation, &direction)?.point)
     }
 
     /// Renders frame `index` as played, or takes it from where it was kept.

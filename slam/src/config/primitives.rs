@@ -34,11 +34,13 @@ pub struct PrimitiveConfig {
     pub max_line_angle_deg: f64,
     /// Standard deviation of the angle between a line and its primitive, degrees. Default 1: buildings are no truer.
     pub line_sigma_deg: f64,
-    /// Standard deviation of a segment's end, as far as its direction is concerned, in those of the segment. Default 2:
-    /// edges that should be parallel are not quite.
+    /// Standard deviation of a segment's end, as far as its direction is concerned, in those of the segment. Default 1.
     pub segment_sigma_factor: f64,
     /// Iterations of the second stage of local bundle adjustment. Default 2: it starts from the first one's result.
     pub stage_two_iterations: usize,
+    /// At the end of a recording, submaps of up to this many key frames are adjusted as a whole by their primitives.
+    /// Default 500: adjustment takes some 3 ms a key frame, and the recording's end waits for it.
+    pub max_keyframes_to_adjust: usize,
     /// Primitives may turn the newest key frame by this many standard deviations of its own attitude. Default 3.
     pub max_turn_sigmas: f64,
 }
@@ -60,8 +62,9 @@ impl Default for PrimitiveConfig {
             retire_after_keyframes: 20,
             max_line_angle_deg: 3.0,
             line_sigma_deg: 1.0,
-            segment_sigma_factor: 2.0,
+            segment_sigma_factor: 1.0,
             stage_two_iterations: 2,
+            max_keyframes_to_adjust: 500,
             max_turn_sigmas: 3.0,
         }
     }

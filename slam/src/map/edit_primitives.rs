@@ -127,6 +127,20 @@ impl Map {
         self.lines().filter(|line| line.primitive == Some(id)).map(|line| line.id).collect()
     }
 
+    /// Whether a primitive of the submap ties views that share no landmarks. Only then does it say something of the whole that
+    /// the windows of local bundle adjustment, one after the other, were not told.
+    pub(crate) fn primitives_tie_beyond_sight(&self, submap: SubmapId) -> bool {
+        self.primitives().filter(|primitive| primitive.submap == submap).any(|primitive| {
+            // In the order in which the key frames were made: the ends are the least likely to share anything.
+            let ends = primitive.observations.first().zip(primitive.observations.last());
+            let Some((first, last)) = ends.filter(|(first, last)| first.keyframe != last.keyframe) else {
+                return false;
+            };
+            self.keyframe(last.keyframe)
+                .is_some_and(|last| last.covisible().iter().all(|(id, _)| *id != first.keyframe))
+        })
+    }
+
     pub(super) fn leave_primitive_observation(&mut self, id: PrimitiveId, keyframe_id: KeyframeId) {
         self.edit_primitive(id, |primitive| {
             primitive.observations.retain(|seen| seen.keyframe != keyframe_id)

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::features::{FrameFeatures, PyramidGeometry};
-use geometry::nalgebra::{Vector3, Vector6};
-use geometry::{Camera, CameraModel, CameraParameters, Pose};
+use geometry::nalgebra::{Matrix3, Vector3, Vector6};
+use geometry::{Camera, CameraModel, CameraParameters, Direction, Pose};
 use vision::{Descriptor, Keypoint};
 
 const N_KEYPOINTS: usize = 8;
@@ -174,4 +174,27 @@ fn later_changes_win_when_updates_are_joined() {
     first.merge(later);
     assert_eq!(first.points, [PointId::new(2).unwrap()].into());
     assert_eq!(first.removed_points, [PointId::new(1).unwrap()].into());
+}
+
+#[test]
+fn a_primitive_reaches_beyond_sight_once_a_key_frame_that_shares_no_landmark_shows_it() {
+    let (mut map, _) = small_map();
+    map.add_keyframe(keyframe(4, Some(3)));
+    let up = Vector3::y();
+    let vanishing = VanishingObservation {
+        direction: up,
+        covariance: Matrix3::identity(),
+        segments: Vec::new(),
+        primitive: None,
+    };
+    (1..=4).for_each(|number| map.set_vanishing(keyframe_id(number), vec![vanishing.clone()]));
+    let direction = Direction::new(up).unwrap();
+    let primitive = map.add_primitive(SubmapId(0), direction, Matrix3::identity(), keyframe_id(1)).unwrap();
+    let mut reaches_with = |number| {
+        let seen = PrimitiveObservation { keyframe: keyframe_id(number), vanishing_idx: 0 };
+        assert!(map.add_primitive_observation(primitive, seen));
+        map.primitives_tie_beyond_sight(SubmapId(0))
+    };
+    assert_eq!([1, 2, 3, 4].map(&mut reaches_with), [false, false, false, true]);
+    assert!(!map.primitives_tie_beyond_sight(SubmapId(1)));
 }

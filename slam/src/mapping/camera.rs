@@ -45,6 +45,11 @@ impl CameraWatch {
         Some(submap)
     }
 
+    /// Whether the images were found to contradict the calibration by more than it may be corrected.
+    pub fn is_contradicted(&self) -> bool {
+        self.is_over
+    }
+
     /// What made the last look doubtful.
     pub fn doubt(&self) -> Option<Doubt> {
         self.doubt

@@ -24,6 +24,7 @@ use geometry::nalgebra::Vector3;
 use global_stage::{Done, GlobalStage, Task};
 use lines::LineMapper;
 use primitives::PrimitiveMapper;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -63,6 +64,8 @@ pub(crate) struct Mapper {
     global: GlobalStage,
     /// Absent where the calibration is to be taken as it is.
     camera: Option<CameraWatch>,
+    /// Submaps that grew since they were adjusted by their primitives.
+    grown: BTreeSet<SubmapId>,
     /// Corrections of the map that nobody was told of yet.
     events: Vec<MapEvent>,
 }
@@ -77,7 +80,8 @@ impl Mapper {
         let global = GlobalStage::new(config.threading);
         let (recent_points, lines, events) = (Vec::new(), LineMapper::default(), Vec::new());
         let camera = config.features.refine_calibration.then(|| CameraWatch::new(&config.calibration));
-        Ok(Self { config, map, recent_points, lines, primitives, loops, global, camera, events })
+        let grown = BTreeSet::new();
+        Ok(Self { config, map, recent_points, lines, primitives, loops, global, camera, grown, events })
     }
 
     /// Hands out what corrected the map since the last call.
@@ -92,6 +96,7 @@ impl Mapper {
     /// Begins a map, or a further submap of it, from two views.
     pub fn begin(&mut self, initial: InitialMap) -> MapUpdate {
         let (first, second) = (initial.first.id, initial.second.id);
+        self.grown.insert(initial.first.submap);
         self.map.add_keyframe(initial.first);
         self.map.add_keyframe(initial.second);
         for (first_idx, second_idx, position) in initial.points {
@@ -165,12 +170,14 @@ impl Mapper {
         self.lines.take_judgements()
     }
 
-    /// Waits for the adjustment of the whole map that is under way, if any, and takes it over.
+    /// Waits for the adjustment of the whole map that is under way, if any, and takes it over. Then looks at what only the
+    /// whole recording tells: the camera of a short one, and what primitives say of all of it.
     pub fn settle(&mut self) -> MapUpdate {
         self.take_over_global(true);
         // A short recording ends between two times of looking at the camera.
         self.look_at_camera(1.0 / self.config.calibration.growth);
         self.take_over_global(true);
+        self.adjust_by_primitives();
         self.update(Vec::new())
     }
 
@@ -190,6 +197,26 @@ impl Mapper {
         let task = Task::LookAtCamera { doubt: camera.doubt() };
         let done = self.global.start(task, &self.map, submap, &self.config);
         self.take_over(done);
+    }
+
+    /// Adjusts the submaps that grew, and whose primitives reach farther than sight, as a whole: until then each window knew
+    /// what primitives say of it, and held on to neighbours that had been placed knowing less.
+    fn adjust_by_primitives(&mut self) {
+        let grown = std::mem::take(&mut self.grown);
+        // A wrong camera bends the whole to suit itself; piece by piece it does less harm.
+        let is_camera_wrong = self.camera.as_ref().is_some_and(CameraWatch::is_contradicted);
+        if self.primitives.is_none() || is_camera_wrong {
+            return;
+        }
+        let max_keyframes = self.config.primitives.max_keyframes_to_adjust;
+        for submap in grown {
+            let n_keyframes = self.map.keyframes_of(submap).count();
+            if n_keyframes <= max_keyframes && self.map.primitives_tie_beyond_sight(submap) {
+                let done = self.global.start(Task::AdjustMap, &self.map, submap, &self.config);
+                self.take_over(done);
+                self.take_over_global(true);
+            }
+        }
     }
 
     /// Recognises the place the key frame shows, corrects the map by it, and has all of it adjusted.
@@ -237,6 +264,7 @@ impl Mapper {
         keyframe.unit = anchor.unit;
         let id = keyframe.id;
         self.map.add_keyframe(keyframe);
+        self.grown.insert(submap);
         let seen: Vec<PointId> = self
             .map
             .keyframe(id)

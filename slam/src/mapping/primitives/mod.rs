@@ -33,6 +33,7 @@ impl PrimitiveMapper {
         upkeep::retire(map, id, &config.primitives);
         upkeep::vote_for_lines(map, id, &config.primitives);
     }
+
     fn find(&mut self, map: &mut Map, id: KeyframeId) {
         let Some(keyframe) = map.keyframe(id) else { return };
         let known: Vec<_> = map
