@@ -8,5 +8,6 @@ pub mod factors;
 mod gauge_tests;
 pub(crate) mod global;
 pub(crate) mod local;
+pub(crate) mod scatter;
 pub(crate) mod stage_two;
 pub(crate) mod two_view;

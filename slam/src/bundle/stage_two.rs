@@ -3,6 +3,7 @@
 
 use super::adjustment::Adjustment;
 use super::factors::{DirectionPriorFactor, StructuralConsistencyFactor, VanishingReprojectionFactor};
+use super::scatter::segment_sigma_factor;
 use crate::config::PrimitiveConfig;
 use crate::map::{GlobalPrimitive, KeyframeId, LineId, Map, PrimitiveId};
 use crate::mapping::primitives::{DirectionEstimate, estimate_direction};
@@ -220,6 +221,7 @@ impl Adjustment {
         config: &PrimitiveConfig,
         sightings: &mut Vec<VanishingSighting>,
     ) {
+        let sigma_factor = segment_sigma_factor(map, primitive, config);
         for seen in &primitive.observations {
             let (Some(pose), Some(keyframe)) = (self.poses.get(&seen.keyframe), map.keyframe(seen.keyframe))
             else {
@@ -228,7 +230,7 @@ impl Adjustment {
             let Some(vanishing) = keyframe.vanishing.get(seen.vanishing_idx as usize) else { continue };
             for segment in vanishing.segments.iter().map(|idx| &keyframe.features.lines[*idx as usize]) {
                 let pinhole = keyframe.features.pinhole;
-                let factor = VanishingReprojectionFactor::of(pinhole, segment, config.segment_sigma_factor);
+                let factor = VanishingReprojectionFactor::of(pinhole, segment, sigma_factor);
                 sightings.push(((*pose, variable), factor));
             }
         }

@@ -34,8 +34,15 @@ pub struct PrimitiveConfig {
     pub max_line_angle_deg: f64,
     /// Standard deviation of the angle between a line and its primitive, degrees. Default 1: buildings are no truer.
     pub line_sigma_deg: f64,
-    /// Standard deviation of a segment's end, as far as its direction is concerned, in those of the segment. Default 1.
+    /// Standard deviation of a segment's end, as far as its direction is concerned, in those of the segment: at least this.
+    /// Default 1.
     pub segment_sigma_factor: f64,
+    /// The same in those by which the primitive's segments are seen to scatter, where that is more. Default 2: an edge that
+    /// is not quite parallel errs alike in all the key frames that show it, so these count for fewer than they are.
+    pub scatter_sigma_factor: f64,
+    /// How many of the key frames that show a primitive, newest first, tell how its segments scatter. Default 20: it is asked
+    /// for every frame.
+    pub max_keyframes_of_scatter: usize,
     /// Iterations of the second stage of local bundle adjustment. Default 2: it starts from the first one's result.
     pub stage_two_iterations: usize,
     /// At the end of a recording, submaps of up to this many key frames are adjusted as a whole by their primitives.
@@ -63,6 +70,8 @@ impl Default for PrimitiveConfig {
             max_line_angle_deg: 3.0,
             line_sigma_deg: 1.0,
             segment_sigma_factor: 1.0,
+            scatter_sigma_factor: 2.0,
+            max_keyframes_of_scatter: 20,
             stage_two_iterations: 2,
             max_keyframes_to_adjust: 500,
             max_turn_sigmas: 3.0,

@@ -3,6 +3,7 @@
 use super::frame::{Inliers, TrackedFrame};
 use crate::bundle::anchored_line::AnchoredLine;
 use crate::bundle::factors::{LineReprojectionFactor, PointReprojectionFactor, VanishingReprojectionFactor};
+use crate::bundle::scatter::segment_sigma_factor;
 use crate::config::PrimitiveConfig;
 use crate::features::{FrameFeatures, LineFeature};
 use crate::map::{Map, PrimitiveId};
@@ -10,6 +11,7 @@ use crate::report::PoseUncertainty;
 use geometry::nalgebra::{Matrix6, Vector3};
 use geometry::{Direction, OrthonormalLine, Pose};
 use optim::{HoldSecond, Kernel, SingleOptions, UnaryGroup, chi2_95, optimize_single};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A keypoint and the fixed point it sees, as a term of the pose alone.
 type PointSighting = HoldSecond<PointReprojectionFactor, Vector3<f64>>;
@@ -75,11 +77,17 @@ pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map, config: &Primitiv
 }
 
 fn direction_sightings(frame: &TrackedFrame, map: &Map, config: &PrimitiveConfig) -> Vec<DirectionSighting> {
+    let shown: BTreeSet<PrimitiveId> = frame.primitives.iter().flatten().copied().collect();
+    let known: BTreeMap<PrimitiveId, (Direction, f64)> = shown
+        .into_iter()
+        .filter_map(|id| map.primitive(id))
+        .map(|primitive| (primitive.id, (primitive.direction, segment_sigma_factor(map, primitive, config))))
+        .collect();
     let segments = frame.features.lines.iter().zip(&frame.primitives);
     let sighting = |(segment, id): (&LineFeature, &Option<PrimitiveId>)| {
-        let pinhole = frame.features.pinhole;
-        let factor = VanishingReprojectionFactor::of(pinhole, segment, config.segment_sigma_factor);
-        Some(HoldSecond { factor, second: map.primitive((*id)?)?.direction })
+        let (direction, sigma_factor) = known.get(&(*id)?)?;
+        let factor = VanishingReprojectionFactor::of(frame.features.pinhole, segment, *sigma_factor);
+        Some(HoldSecond { factor, second: *direction })
     };
     segments.filter_map(sighting).collect()
 }
