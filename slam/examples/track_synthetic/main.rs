@@ -7,6 +7,7 @@
 //! | `--inline` | all stages in turn on one thread, the same each time |
 //! | `--realtime` | frames come as recorded, and tracking does not wait for mapping |
 //! | `--frames N` | only the first N |
+//! | `--every N` | shows it every N-th frame only |
 //! | `--backwards` | from the last frame to the first: an error that turns round with the walk is the data's |
 //! | `--engine-seed N` | the engine's random numbers; otherwise the sequence's seed |
 //! | `--no-loops`, `--no-lines`, `--no-primitives` | switches features off |
@@ -147,10 +148,15 @@ fn track(
     let mut pipeline = Pipeline::resume(config.clone(), camera, clock, ResumeState::default())?;
 
     let n_frames = value("--frames").map_or(Ok(recording.len()), |n| n.parse())?.min(recording.len());
+    let every: usize = value("--every").map_or(Ok(1), |n| n.parse())?;
+    if every == 0 {
+        return Err("--every must be 1 or more".into());
+    }
+    let n_shown = n_frames.div_ceil(every);
     let mut run = Run::default();
     pipeline.set_lossless(!flag("--realtime"));
     let start = Instant::now();
-    for index in 0..n_frames {
+    for index in (0..n_frames).step_by(every) {
         let timestamp_ns = recording.timestamp_ns(index);
         if flag("--realtime") {
             let due = Duration::from_nanos((timestamp_ns - recording.timestamp_ns(0)) as u64);
@@ -178,7 +184,7 @@ fn track(
     let revisit = Revisit::of(&map, &recording, n_frames);
     let (n_loops, n_merges) = (run.n_loops, run.n_merges);
     run.print(&map);
-    places.print(&recording, n_frames);
+    places.print(&recording, n_shown);
     if let Some(revisit) = &revisit {
         revisit.print();
     }
