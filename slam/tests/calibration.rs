@@ -91,7 +91,7 @@ fn a_focal_length_that_is_a_little_wrong_is_put_right() {
     println!("{correction:?}, error {:.5} as given, {:.5} refined", as_given.error(), refined.error());
     assert!((correction.focal + 0.0196).abs() < 0.005, "{correction:?}");
     assert!(refined.error() < 0.75 * as_given.error());
-    assert!(refined.error() < 0.0013, "as near as with a camera that is as given");
+    assert!(refined.error() < 0.0013);
     let map = refined.pipeline.map();
     assert!(map.keyframes().all(|keyframe| {
         keyframe.features.pinhole == correction.apply(&keyframe.features.nominal_pinhole)
