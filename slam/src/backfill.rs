@@ -7,8 +7,7 @@
 
 use crate::config::{InitialisationConfig, SlamConfig};
 use crate::features::View;
-use crate::map::{FramePose, FrameRecord, FrameState, Map};
-use crate::mapping::median_depth;
+use crate::map::{FramePose, FrameRecord, FrameState, Map, median_depth};
 use crate::report::TrackingOutcome;
 use crate::tracking::Tracker;
 use crate::tracking::frame::TrackedFrame;
@@ -240,9 +239,9 @@ impl Way {
     /// Tries to place a frame next to the one reached last.
     fn visit(&mut self, waiting: Waiting, map: &Map) -> Option<FrameRecord> {
         let Waiting { mut view, n_inliers } = waiting;
-        view.adopt(&map.correction());
+        view.correct_camera(&map.correction());
         match self.tracker.last_frame() {
-            Some(_) => self.tracker.adopt(map),
+            Some(_) => self.tracker.sync_map(map),
             None => self.tracker.start(self.reached.now(map)?, map),
         }
         let tracked = self.tracker.track(&view, map);

@@ -1,6 +1,5 @@
 //! Time as the engine sees it: handed in from outside, so that the engine itself reads no clock.
 
-use crate::beside::beside;
 use crate::report::StageTime;
 
 /// A source of times for the stage timings in the reports.
@@ -66,22 +65,19 @@ impl Stopwatch {
         result
     }
 
-    /// Two stages beside each other, the second on a thread of its own if there can be one. Each is given the time it took.
-    pub fn time_both<A, B: Send>(
-        &mut self,
-        (first_name, first): (&'static str, impl FnOnce() -> A),
-        (second_name, second): (&'static str, impl FnOnce() -> B + Send),
-    ) -> (A, B) {
-        let clock = self.clock.clone();
-        let timed_second = move || {
-            let start_ns = clock.wall_ns();
-            let result = second();
-            (result, clock.wall_ns().saturating_sub(start_ns))
-        };
-        let (first, (second, wall_ns)) = beside(second_name, || self.time(first_name, first), timed_second);
-        self.stages.push(StageTime { name: second_name, wall_ns });
+    /// A stage that ran beside the present one and was timed by itself.
+    pub fn add(&mut self, name: &'static str, wall_ns: u64) {
+        self.stages.push(StageTime { name, wall_ns });
+    }
+
+    /// Leaves out of the next lap the time that has passed since the last.
+    pub fn restart_lap(&mut self) {
         self.lap_start_ns = self.clock.wall_ns();
-        (first, second)
+    }
+
+    /// The clock of the measurements.
+    pub fn clock(&self) -> &std::sync::Arc<dyn Clock> {
+        &self.clock
     }
 
     pub fn finish(self) -> FrameTimes {

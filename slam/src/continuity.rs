@@ -1,8 +1,7 @@
 //! Where a camera can have gone: two places that look alike are told apart by the way between them.
 
 use crate::config::ContinuityConfig;
-use crate::map::{Keyframe, KeyframeId, Map, SubmapId};
-use crate::mapping::median_depth;
+use crate::map::{Keyframe, KeyframeId, Map, SubmapId, median_depth};
 use geometry::Similarity;
 use geometry::nalgebra::Vector3;
 

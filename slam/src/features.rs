@@ -67,7 +67,7 @@ pub(crate) struct View {
 
 impl View {
     /// Has its rays be those of a camera corrected this way.
-    pub fn adopt(&mut self, correction: &PinholeCorrection) {
+    pub fn correct_camera(&mut self, correction: &PinholeCorrection) {
         if !self.features.has_correction(correction) {
             self.features = Arc::new(self.features.with_correction(correction));
         }

@@ -2,6 +2,7 @@
 
 use crate::config::ConfigError;
 use crate::map::{MapError, MapParts};
+use geometry::Camera;
 use vision::GrayImage;
 
 /// One image of the stream.
@@ -48,6 +49,26 @@ pub enum FrameError {
         /// The number of the frame before.
         last_sequence: u64,
     },
+}
+
+impl Frame {
+    /// Whether the frame can follow the last one, given as its number and time, in a stream of the camera's images.
+    pub(crate) fn check(&self, camera: &Camera, last_frame: Option<(u64, i64)>) -> Result<(), FrameError> {
+        let (width, height) = (self.image.width(), self.image.height());
+        let (expected_width, expected_height) = (camera.width(), camera.height());
+        if (width, height) != (expected_width, expected_height) {
+            return Err(FrameError::WrongImageSize { width, height, expected_width, expected_height });
+        }
+        let Some((last_sequence, last_timestamp_ns)) = last_frame else { return Ok(()) };
+        let (sequence, timestamp_ns) = (self.sequence, self.timestamp_ns);
+        if sequence <= last_sequence {
+            return Err(FrameError::SequenceNotIncreasing { sequence, last_sequence });
+        }
+        if timestamp_ns <= last_timestamp_ns {
+            return Err(FrameError::TimestampNotIncreasing { timestamp_ns, last_timestamp_ns });
+        }
+        Ok(())
+    }
 }
 
 /// What a stored session is taken up with.

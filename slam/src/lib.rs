@@ -3,22 +3,27 @@
 //! Start reading at [`Pipeline`]. It does no I/O and reads no clock; time and seeds come in as arguments.
 
 mod backfill;
-mod beside;
 pub mod bundle;
 pub mod clock;
 pub mod config;
 mod continuity;
 pub mod features;
+mod frame_result;
 mod front_end;
 mod initialisation;
 mod input;
+mod landmarks;
 mod loops;
 pub mod map;
 mod mapping;
+mod matching;
+mod parallel;
 pub mod pipeline;
 mod places;
 pub mod report;
+mod submaps;
 mod tracking;
+mod trajectory;
 mod vanishing;
 
 pub use clock::{Clock, NoClock};

@@ -24,7 +24,7 @@ pub(crate) struct LikelyPlace {
 
 impl KeyframePlaces {
     /// Enters the key frames that are new in the map and drops those that are gone.
-    pub fn learn(&mut self, map: &Map) {
+    pub fn update(&mut self, map: &Map) {
         let gone: Vec<KeyframeId> =
             self.known.iter().copied().filter(|id| map.keyframe(*id).is_none()).collect();
         for id in gone {

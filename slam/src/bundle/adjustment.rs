@@ -2,9 +2,9 @@
 
 use super::anchored_line::AnchoredLine;
 use super::factors::{LineReprojectionFactor, PointReprojectionFactor};
-use super::stage_two::PrimitiveTerms;
+use super::primitive_terms::PrimitiveTerms;
+use crate::landmarks::{TrackView, directed, seen_part};
 use crate::map::{KeyframeId, LineId, LinePlace, Map, Observation, PointId, PrimitiveId};
-use crate::mapping::lines::{TrackView, directed, seen_part};
 use geometry::nalgebra::Vector3;
 use geometry::{Direction, Line3, OrthonormalLine, Pose};
 use optim::{GroupId, Kernel, Manifold, Problem, SolverOptions, VariableId, chi2_95};

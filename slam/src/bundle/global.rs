@@ -5,7 +5,7 @@ use super::adjustment::{Adjusted, Adjustment, Scope};
 use super::calibration::Estimate;
 use super::stage_two::StageTwo;
 use crate::config::SlamConfig;
-use crate::loops::{Anchoring, apply_corrections};
+use crate::landmarks::{Anchoring, apply_corrections};
 use crate::map::{Keyframe, KeyframeId, Map, SubmapId};
 use geometry::{PinholeCorrection, Pose, Similarity};
 use std::collections::{BTreeMap, BTreeSet};

@@ -8,6 +8,7 @@ pub mod factors;
 mod gauge_tests;
 pub(crate) mod global;
 pub(crate) mod local;
+mod primitive_terms;
 pub(crate) mod scatter;
 pub(crate) mod stage_two;
 pub(crate) mod two_view;

@@ -3,13 +3,14 @@
 
 use super::adjustment::Adjustment;
 use super::factors::{DirectionPriorFactor, StructuralConsistencyFactor, VanishingReprojectionFactor};
+use super::primitive_terms::{PrimitiveTerms, VanishingSighting};
 use super::scatter::segment_sigma_factor;
 use crate::config::PrimitiveConfig;
+use crate::landmarks::{DirectionEstimate, estimate_direction};
 use crate::map::{GlobalPrimitive, KeyframeId, LineId, Map, PrimitiveId};
-use crate::mapping::primitives::{DirectionEstimate, estimate_direction};
 use geometry::nalgebra::{Matrix2, Matrix3};
 use geometry::{Direction, OrthonormalLine, Pose};
-use optim::{GroupId, Kernel, SolverOptions, VariableId};
+use optim::{Kernel, SolverOptions, VariableId};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What came of the second stage.
@@ -30,18 +31,6 @@ const ASLEEP_SIGMA_RAD: f64 = 1.0;
 /// The second stage ends when an iteration lowers the cost by less than this share: a tenth of a standard deviation in
 /// the usual window. It starts from a minimum, and two iterations all but reach the next.
 const MIN_RELATIVE_DECREASE: f64 = 1e-4;
-
-/// A segment's factor with its variables.
-type VanishingSighting = ((VariableId<Pose>, VariableId<Direction>), VanishingReprojectionFactor);
-
-/// What primitives say. It is in the problem from the start, so that the problem's structure is laid out once, but left
-/// out until the second stage.
-pub(super) struct PrimitiveTerms {
-    pub variables: Vec<(PrimitiveId, VariableId<Direction>)>,
-    priors: GroupId<DirectionPriorFactor>,
-    sightings: GroupId<VanishingReprojectionFactor>,
-    parallels: GroupId<StructuralConsistencyFactor>,
-}
 
 impl Adjustment {
     /// Enters the primitives that the free key frames show, for [`add_primitives`](Self::add_primitives) later.

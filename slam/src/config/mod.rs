@@ -17,7 +17,6 @@ pub use primitives::PrimitiveConfig;
 pub use submaps::SubmapConfig;
 
 use crate::features::PyramidGeometry;
-use crate::report::PoseUncertainty;
 use geometry::Camera;
 use vision::OrbConfig;
 
@@ -226,15 +225,6 @@ pub struct TrackingConfig {
     /// For how long a camera that was lost is looked for where it was heading, nanoseconds. Default 0.5 s: then people
     /// have turned.
     pub max_coasting_ns: i64,
-}
-
-impl TrackingConfig {
-    /// Whether a pose is known well enough for a key frame.
-    pub(crate) fn is_certain_enough(&self, uncertainty: &PoseUncertainty) -> bool {
-        let factor = self.keyframe_sigma_factor;
-        uncertainty.rotation_rad <= factor * self.max_rotation_sigma_deg.to_radians()
-            && uncertainty.position_share <= factor * self.max_position_sigma_share
-    }
 }
 
 impl Default for TrackingConfig {

@@ -1,5 +1,6 @@
 //! From an image to what the back end works on: keypoints and tracked line segments without lens distortion.
 
+mod line_stage;
 mod lines;
 
 use crate::clock::Stopwatch;
@@ -7,7 +8,9 @@ use crate::config::{ConfigError, SlamConfig, Threading};
 use crate::features::FrameFeatures;
 use geometry::nalgebra::UnitQuaternion;
 use geometry::{Camera, PinholeCorrection};
+use line_stage::LineStage;
 use lines::LineFrontEnd;
+use std::sync::Arc;
 use vision::lines::LineTrackingStatistics;
 use vision::{GrayImage, OrbExtractor, scale};
 
@@ -17,7 +20,7 @@ pub(crate) struct FrontEnd {
     config: SlamConfig,
     extractor: OrbExtractor,
     /// Absent where lines are switched off.
-    lines: Option<LineFrontEnd>,
+    lines: Option<LineStage>,
 }
 
 impl FrontEnd {
@@ -26,8 +29,7 @@ impl FrontEnd {
         let extractor = OrbExtractor::new(config.orb)
             .map_err(|error| ConfigError { field: "orb", reason: error.to_string() })?;
         let camera = config.working_camera(camera);
-        let lines =
-            config.features.lines.then(|| LineFrontEnd::new(config, &camera, first_track)).transpose()?;
+        let lines = config.features.lines.then(|| line_stage(config, &camera, first_track)).transpose()?;
         Ok(Self { camera, config: config.clone(), extractor, lines })
     }
 
@@ -57,7 +59,7 @@ impl FrontEnd {
     /// `now_from_last` is the rotation since the last image, as far as it is known.
     pub fn extract(
         &mut self,
-        image: &GrayImage,
+        image: &Arc<GrayImage>,
         now_from_last: Option<UnitQuaternion<f64>>,
         stopwatch: &mut Stopwatch,
     ) -> (FrameFeatures, LineTrackingStatistics) {
@@ -67,15 +69,19 @@ impl FrontEnd {
         let Some(lines) = lines else {
             return (stopwatch.time("points", extract_points), LineTrackingStatistics::default());
         };
-        let extract_lines = || lines.extract(image, now_from_last);
-        let (features, (lines, statistics)) = match config.threading {
-            Threading::Inline => {
-                (stopwatch.time("points", extract_points), stopwatch.time("lines", extract_lines))
-            }
-            Threading::Background => {
-                stopwatch.time_both(("points", extract_points), ("lines", extract_lines))
-            }
-        };
+        let (features, (lines, statistics)) =
+            lines.extract_beside(image, now_from_last, stopwatch, ("points", extract_points));
         (features.with_lines(lines), statistics)
+    }
+}
+
+fn line_stage(config: &SlamConfig, camera: &Camera, first_track: u64) -> Result<LineStage, ConfigError> {
+    let lines = LineFrontEnd::new(config, camera, first_track)?;
+    match config.threading {
+        Threading::Inline => Ok(LineStage::inline(lines)),
+        Threading::Background => LineStage::background(lines).map_err(|error| ConfigError {
+            field: "threading",
+            reason: format!("the thread that looks for lines cannot be started: {error}"),
+        }),
     }
 }

@@ -1,15 +1,16 @@
 //! Making the first map: two views far enough apart, a motion between them that nothing else explains, and a third
 //! view that agrees.
 
+mod correspondence;
 mod matching;
 mod motion;
 mod third_view;
 mod two_view;
 
-use crate::beside::beside;
 use crate::bundle;
 use crate::config::{InitialisationConfig, SlamConfig, Threading};
 use crate::features::View;
+use crate::parallel;
 use crate::report::InitialisationWait;
 use geometry::Pose;
 use geometry::nalgebra::Vector3;
@@ -115,7 +116,7 @@ impl Initialiser {
         };
         let tried = match self.threading {
             Threading::Background if !others.is_empty() => {
-                let (widest, others) = beside("initialise", try_widest, try_others);
+                let (widest, others) = parallel::join("initialise", try_widest, try_others);
                 first_success(&mut [widest, others].into_iter())
             }
             _ => first_success(&mut std::iter::once_with(try_widest).chain(std::iter::once_with(try_others))),

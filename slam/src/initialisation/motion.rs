@@ -3,7 +3,7 @@
 //! Over a short baseline turning and moving sideways look alike, and a nearly planar scene has a second motion that
 //! explains it: the cost has several minima, and a search from one start may end in a wrong one.
 
-use super::two_view::Correspondence;
+use super::correspondence::Correspondence;
 use geometry::nalgebra::{Matrix1, SMatrix, SVector, UnitQuaternion, Vector1, Vector3};
 use geometry::{Direction, Pose, so3};
 use optim::{Factor, Kernel, Linearized, Manifold, SingleOptions, UnaryGroup, optimize_single};

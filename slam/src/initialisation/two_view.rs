@@ -1,13 +1,14 @@
 //! The motion between two views from their matches alone, whether the scene is planar or not.
 
+use super::correspondence::Correspondence;
 use super::motion::{self, RelativeMotion};
 use crate::bundle::factors::PointReprojectionFactor;
 use crate::config::InitialisationConfig;
 use crate::features::FrameFeatures;
 use crate::report::InitialisationWait;
-use geometry::nalgebra::{Matrix3, Vector2, Vector3};
+use geometry::nalgebra::{Matrix3, Vector3};
 use geometry::ransac::{Estimator, RansacConfig, ransac};
-use geometry::{Pinhole, Pose, so3, triangulation, two_view};
+use geometry::{Pose, so3, triangulation, two_view};
 use optim::chi2_95;
 use rand_chacha::ChaCha8Rng;
 
@@ -17,19 +18,6 @@ const MAX_REPROJECTION_CHI2: f64 = 4.0;
 const PARALLAX_RANK: usize = 50;
 /// Rays closer to parallel than this tell nothing of the sign of the depth, as a cosine.
 const PARALLEL_COSINE: f64 = 0.999_98;
-
-/// One match in the coordinates the solvers want.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Correspondence {
-    /// Normalised image coordinates, (pixel - centre) / focal length.
-    pub first: Vector2<f64>,
-    pub second: Vector2<f64>,
-    first_bearing: Vector3<f64>,
-    second_bearing: Vector3<f64>,
-    /// Variances of the positions, normalised coordinates squared.
-    pub first_variance: f64,
-    pub second_variance: f64,
-}
 
 /// A motion with the points it gives.
 #[derive(Clone, Debug)]
@@ -218,59 +206,6 @@ fn judge(second_from_first: &Pose, correspondences: &[Correspondence]) -> TwoVie
     TwoViewMotion { second_from_first: *second_from_first, points, parallax_deg }
 }
 
-impl Correspondence {
-    /// A match of normalised coordinates, for tests.
-    #[cfg(test)]
-    pub fn of_normalised(first: Vector2<f64>, second: Vector2<f64>, variance: f64) -> Self {
-        Self {
-            first,
-            second,
-            first_bearing: first.push(1.0).normalize(),
-            second_bearing: second.push(1.0).normalize(),
-            first_variance: variance,
-            second_variance: variance,
-        }
-    }
-
-    fn new(first: &FrameFeatures, first_idx: usize, second: &FrameFeatures, second_idx: usize) -> Self {
-        let variance = |features: &FrameFeatures, idx: usize| {
-            let sigma = features.sigma_px(idx) / features.pinhole.mean_focal_px();
-            sigma * sigma
-        };
-        let of = |pinhole: &Pinhole, pixel| (pinhole.normalised(pixel), pinhole.bearing(pixel));
-        let (a, first_bearing) = of(&first.pinhole, &first.undistorted[first_idx]);
-        let (b, second_bearing) = of(&second.pinhole, &second.undistorted[second_idx]);
-        Self {
-            first: a,
-            second: b,
-            first_bearing,
-            second_bearing,
-            first_variance: variance(first, first_idx),
-            second_variance: variance(second, second_idx),
-        }
-    }
-
-    /// Squared first-order distance to the epipolar constraint, in standard deviations [Sampson].
-    #[inline]
-    fn squared_sampson(&self, essential: &Matrix3<f64>) -> f64 {
-        let (a, b) = (self.first.push(1.0), self.second.push(1.0));
-        let (line_in_second, line_in_first) = (essential * a, essential.transpose() * b);
-        let error = b.dot(&line_in_second);
-        let variance = line_in_second.xy().norm_squared() * self.second_variance
-            + line_in_first.xy().norm_squared() * self.first_variance;
-        error * error / variance
-    }
-
-    /// The larger squared transfer error of the two directions, in standard deviations.
-    #[inline]
-    fn squared_transfer(&self, planar: &Planar) -> f64 {
-        let (forward, backward) = (planar.h * self.first.push(1.0), planar.inverse * self.second.push(1.0));
-        let error_second = (forward.xy() / forward.z - self.second).norm_squared() / self.second_variance;
-        let error_first = (backward.xy() / backward.z - self.first).norm_squared() / self.first_variance;
-        error_first.max(error_second)
-    }
-}
-
 struct EssentialEstimator<'a> {
     correspondences: &'a [Correspondence],
 }
@@ -316,6 +251,19 @@ struct Planar {
     inverse: Matrix3<f64>,
 }
 
+impl Planar {
+    /// The larger squared transfer error of the two directions, in standard deviations.
+    #[inline]
+    fn squared_transfer(&self, matched: &Correspondence) -> f64 {
+        let (forward, backward) = (self.h * matched.first.push(1.0), self.inverse * matched.second.push(1.0));
+        let error_second =
+            (forward.xy() / forward.z - matched.second).norm_squared() / matched.second_variance;
+        let error_first =
+            (backward.xy() / backward.z - matched.first).norm_squared() / matched.first_variance;
+        error_first.max(error_second)
+    }
+}
+
 struct HomographyEstimator<'a> {
     correspondences: &'a [Correspondence],
 }
@@ -346,7 +294,7 @@ impl Estimator for HomographyEstimator<'_> {
     }
 
     fn squared_residual(&self, planar: &Planar, datum: usize) -> f64 {
-        self.correspondences[datum].squared_transfer(planar)
+        planar.squared_transfer(&self.correspondences[datum])
     }
 
     fn refine(&self, _: &Planar, inliers: &[usize]) -> Option<Planar> {

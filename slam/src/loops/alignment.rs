@@ -4,7 +4,7 @@ use super::Place;
 use crate::bundle::factors::{PlacedSighting, SimilarityReprojectionFactor};
 use crate::config::SlamConfig;
 use crate::map::{Keyframe, KeyframeId, Map, PointId};
-use crate::tracking::search::{PredictedView, Window, find_in_window, match_keyframe};
+use crate::matching::{PredictedView, Window, find_in_window, match_keyframe};
 use geometry::nalgebra::Vector3;
 use geometry::ransac::{Estimator, RansacConfig, ransac};
 use geometry::{Pose, Similarity};

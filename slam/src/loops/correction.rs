@@ -4,23 +4,14 @@
 use super::essential_graph::{self, LoopEdge};
 use super::{Place, Recognition};
 use crate::config::SlamConfig;
-use crate::map::{Keyframe, KeyframeId, LineId, Map, PointId, PrimitiveId, SubmapId};
-use crate::mapping::fusion::fuse_into;
+use crate::landmarks::{Anchoring, Corrections, apply_corrections};
+use crate::map::{Keyframe, KeyframeId, Map, PointId, PrimitiveId, SubmapId};
+use crate::matching::fuse_into;
 use geometry::Similarity;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// How each key frame's part of the world is moved, `after_from_before`.
-pub(crate) type Corrections = BTreeMap<KeyframeId, Similarity>;
-
 /// Angle up to which directions of two submaps are the same primitive once they are merged, degrees.
 const SAME_DIRECTION_DEG: f64 = 3.0;
-
-/// Which key frame a landmark moves with, where that is not the one that made it.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Anchoring {
-    pub points: BTreeMap<PointId, KeyframeId>,
-    pub lines: BTreeMap<LineId, KeyframeId>,
-}
 
 /// Closes a loop within a submap.
 pub(super) fn close_loop(map: &mut Map, recognition: &Recognition, config: &SlamConfig) {
@@ -98,53 +89,6 @@ pub(super) fn join_landmarks(map: &mut Map, place: &Place, current: KeyframeId, 
     }
     for id in window {
         map.refresh_covisibility(id, config.mapping.min_covisible_points);
-    }
-}
-
-/// Moves key frames with what belongs to them, each by the correction of its own part of the world.
-pub(crate) fn apply_corrections(map: &mut Map, corrections: &Corrections, anchoring: &Anchoring) {
-    let anchor_of = |created_by: KeyframeId, observers: &[KeyframeId]| {
-        std::iter::once(&created_by).chain(observers).copied().find(|id| corrections.contains_key(id))
-    };
-    let points: Vec<(PointId, KeyframeId)> = map
-        .points()
-        .filter_map(|point| {
-            let observers: Vec<KeyframeId> = point.observations.iter().map(|seen| seen.keyframe).collect();
-            let anchor = anchoring.points.get(&point.id).copied();
-            Some((point.id, anchor.or_else(|| anchor_of(point.created_by, &observers))?))
-        })
-        .collect();
-    let lines: Vec<(LineId, KeyframeId)> = map
-        .lines()
-        .filter_map(|line| {
-            let observers: Vec<KeyframeId> = line.observations.iter().map(|seen| seen.keyframe).collect();
-            let anchor = anchoring.lines.get(&line.id).copied();
-            Some((line.id, anchor.or_else(|| anchor_of(line.created_by, &observers))?))
-        })
-        .collect();
-    for (id, correction) in corrections {
-        map.move_keyframe(*id, correction);
-    }
-    for (id, anchor) in points {
-        if let Some(correction) = corrections.get(&anchor) {
-            map.move_point(id, correction);
-        }
-    }
-    for (id, anchor) in lines {
-        if let Some(correction) = corrections.get(&anchor) {
-            map.move_line(id, correction);
-        }
-    }
-    let primitives: Vec<(PrimitiveId, Similarity)> = map
-        .primitives()
-        .filter_map(|primitive| {
-            let observers: Vec<KeyframeId> =
-                primitive.observations.iter().map(|seen| seen.keyframe).collect();
-            Some((primitive.id, *corrections.get(&anchor_of(primitive.created_by, &observers)?)?))
-        })
-        .collect();
-    for (id, correction) in primitives {
-        map.realign_primitive(id, &correction);
     }
 }
 

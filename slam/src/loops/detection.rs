@@ -14,7 +14,7 @@ pub(super) struct Detector {
 impl Detector {
     /// Key frames that look like the given one but are not around it, most similar first.
     pub fn candidates(&mut self, map: &Map, id: KeyframeId, config: &LoopConfig) -> Vec<KeyframeId> {
-        self.places.learn(map);
+        self.places.update(map);
         let Some(keyframe) = map.keyframe(id) else { return Vec::new() };
         let around = surroundings(map, id);
         let descriptors = &keyframe.features.descriptors;

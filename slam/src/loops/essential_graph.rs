@@ -1,10 +1,9 @@
 //! Spreading what a loop has shown over the whole submap: a pose graph over similarities. [ALGORITHMS 7.6]
 
-use super::correction::Corrections;
 use crate::bundle::factors::RelativeSimilarityFactor;
 use crate::config::LoopConfig;
-use crate::map::{KeyframeId, Map};
-use crate::mapping::median_depth;
+use crate::landmarks::Corrections;
+use crate::map::{KeyframeId, Map, median_depth};
 use geometry::Similarity;
 use optim::{Kernel, Problem, SolverOptions};
 use std::collections::{BTreeMap, BTreeSet};

@@ -13,11 +13,9 @@ mod essential_graph;
 mod tests;
 mod verification;
 
-pub(crate) use correction::{Anchoring, apply_corrections};
-
 use crate::config::SlamConfig;
 use crate::continuity;
-use crate::map::{KeyframeId, Map, PointId, SubmapId};
+use crate::map::{KeyframeId, Map, PointId, SubmapId, median_depth};
 use crate::report::MapEvent;
 use detection::Detector;
 use geometry::Similarity;
@@ -170,7 +168,7 @@ impl Place {
 
 fn is_negligible(map: &Map, recognition: &Recognition) -> bool {
     let Some(current) = map.keyframe(recognition.current) else { return true };
-    let Some(depth) = crate::mapping::median_depth(map, current) else { return false };
+    let Some(depth) = median_depth(map, current) else { return false };
     let similarity = &recognition.place_from_current;
     let centre = current.camera_from_world.centre();
     let (max_shift, max_turn, max_log_scale) = NEGLIGIBLE;

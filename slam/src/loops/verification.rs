@@ -4,9 +4,8 @@
 use super::Place;
 use super::alignment::{MAX_SQUARED_ERROR, camera_from_place, find_place_points};
 use crate::config::{LoopConfig, SlamConfig};
-use crate::map::{Keyframe, KeyframeId, Map, PointLandmark};
-use crate::mapping::median_depth;
-use crate::tracking::search::PredictedView;
+use crate::map::{Keyframe, KeyframeId, Map, PointLandmark, median_depth};
+use crate::matching::PredictedView;
 use geometry::nalgebra::Vector3;
 use geometry::{Direction, Similarity};
 

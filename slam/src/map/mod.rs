@@ -5,6 +5,7 @@
 
 mod calibration;
 mod changes;
+mod depth;
 mod edit;
 mod edit_lines;
 mod edit_places;
@@ -20,6 +21,7 @@ mod primitive;
 mod tests;
 
 pub use changes::{FramePose, FrameRecord, FrameState, MapChanges, MapUpdate};
+pub(crate) use depth::median_depth;
 pub(crate) use edit_lines::LinePlace;
 pub use ids::{KeyframeId, LineId, PointId, PrimitiveId, SubmapId};
 pub use keyframe::{Keyframe, RemovedKeyframe};

@@ -2,23 +2,21 @@
 
 mod camera;
 mod culling;
-pub(crate) mod fusion;
+mod fusion;
 mod global_stage;
-pub(crate) mod lines;
-pub(crate) mod primitives;
+mod lines;
+mod primitives;
 pub(crate) mod stage;
 mod triangulation;
 
-pub(crate) use triangulation::median_depth;
-
 use crate::bundle;
 use crate::config::{ConfigError, SlamConfig};
+use crate::landmarks::Sightings;
 use crate::loops::LoopCloser;
 use crate::map::{
     FramePose, FrameRecord, Keyframe, KeyframeId, Map, MapUpdate, Observation, PointId, SubmapId,
 };
 use crate::report::{LineJudgement, MapEvent};
-use crate::tracking::Sightings;
 use camera::CameraWatch;
 use geometry::nalgebra::Vector3;
 use global_stage::{Done, GlobalStage, Task};

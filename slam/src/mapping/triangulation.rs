@@ -3,7 +3,7 @@
 use super::neighbours;
 use crate::config::MappingConfig;
 use crate::features::FrameFeatures;
-use crate::map::{Keyframe, KeyframeId, Map, Observation, PointId};
+use crate::map::{Keyframe, KeyframeId, Map, Observation, PointId, median_depth};
 use geometry::nalgebra::{Matrix3, Vector3};
 use geometry::{Pose, so3, triangulation};
 use optim::chi2_95;
@@ -191,17 +191,4 @@ impl<'a> PairSearch<'a> {
         let agreement = distance_ratio / scale_ratio;
         (agreement < tolerance && agreement > 1.0 / tolerance).then_some(point)
     }
-}
-
-/// Median depth of the points a key frame sees, map units.
-pub(crate) fn median_depth(map: &Map, keyframe: &Keyframe) -> Option<f64> {
-    let mut depths: Vec<f64> = keyframe
-        .observed_points()
-        .filter_map(|(_, id)| Some(keyframe.camera_from_world.transform(&map.point(id)?.position).z))
-        .collect();
-    if depths.is_empty() {
-        return None;
-    }
-    let middle = depths.len() / 2;
-    Some(*depths.select_nth_unstable_by(middle, f64::total_cmp).1)
 }

@@ -4,9 +4,9 @@
 use super::Tracker;
 use super::frame::TrackedFrame;
 use super::pose::{Placement, place_frame};
-use super::search::{Expected, match_keyframe, search_by_motion};
 use crate::features::View;
 use crate::map::{FramePose, Map};
+use crate::matching::{Expected, match_keyframe, search_by_motion};
 use geometry::Pose;
 use std::sync::Arc;
 use vision::GrayImage;

@@ -2,7 +2,7 @@
 
 use super::pose::Placement;
 use crate::config::TrackingConfig;
-use crate::report::{LostReason, TrackingOutcome};
+use crate::report::{LostReason, PoseUncertainty, TrackingOutcome};
 
 /// Whether enough landmarks agree with a pose, and whether they determine it. [ALGORITHMS 9]
 ///
@@ -16,11 +16,7 @@ pub(super) fn judge(
 ) -> TrackingOutcome {
     let Placement { inliers, uncertainty } = *placement;
     let n_inliers = inliers.total();
-    let max_rotation_rad = config.max_rotation_sigma_deg.to_radians();
-    let within = |factor: f64| {
-        uncertainty.rotation_rad <= factor * max_rotation_rad
-            && uncertainty.position_share <= factor * config.max_position_sigma_share
-    };
+    let within = |factor: f64| is_within(&uncertainty, factor, config);
     let n_required_of = |share: f64, least: usize, plenty: usize| {
         ((share * n_expected as f64).ceil() as usize).clamp(least, plenty)
     };
@@ -42,4 +38,21 @@ pub(super) fn judge(
     } else {
         TrackingOutcome::Tracked
     }
+}
+
+/// Whether a pose is known well enough for a keyframe: a little less well than a good one.
+pub(crate) fn is_certain_enough(outcome: &TrackingOutcome, config: &TrackingConfig) -> bool {
+    match outcome {
+        TrackingOutcome::Tracked => true,
+        TrackingOutcome::Weak { uncertainty, .. } => {
+            is_within(uncertainty, config.keyframe_sigma_factor, config)
+        }
+        TrackingOutcome::Initialising(_) | TrackingOutcome::Lost(_) => false,
+    }
+}
+
+/// Whether a pose is at most `factor` times as uncertain as a good one may be.
+fn is_within(uncertainty: &PoseUncertainty, factor: f64, config: &TrackingConfig) -> bool {
+    uncertainty.rotation_rad <= factor * config.max_rotation_sigma_deg.to_radians()
+        && uncertainty.position_share <= factor * config.max_position_sigma_share
 }

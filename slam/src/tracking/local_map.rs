@@ -1,10 +1,10 @@
 //! The part of the map a frame can see: key frames that share its points, their neighbours, and what those see.
 
 use super::frame::TrackedFrame;
-use super::lines::{ExpectedLine, PredictedSegment, match_lines};
-use super::search::{PredictedView, Window, find_in_window};
 use crate::config::{LineConfig, TrackingConfig};
+use crate::landmarks::Sightings;
 use crate::map::{KeyframeId, LineId, Map, PointId, PointLandmark};
+use crate::matching::{ExpectedLine, PredictedSegment, PredictedView, Window, find_in_window, match_lines};
 use std::collections::{BTreeMap, BTreeSet};
 use vision::matching::LOOSE_DISTANCE;
 
@@ -20,41 +20,6 @@ pub(crate) struct LocalMap {
     /// Per point index: the round in which it was last taken in.
     stamps: Vec<u32>,
     round: u32,
-}
-
-/// How often each landmark should have been found and was, since the last key frame.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Sightings {
-    counts: BTreeMap<PointId, (u32, u32)>,
-    line_counts: BTreeMap<LineId, (u32, u32)>,
-}
-
-impl Sightings {
-    pub fn visible(&mut self, id: PointId) {
-        self.counts.entry(id).or_default().0 += 1;
-    }
-
-    pub fn found(&mut self, id: PointId) {
-        self.counts.entry(id).or_default().1 += 1;
-    }
-
-    pub fn line_visible(&mut self, id: LineId) {
-        self.line_counts.entry(id).or_default().0 += 1;
-    }
-
-    pub fn line_found(&mut self, id: LineId) {
-        self.line_counts.entry(id).or_default().1 += 1;
-    }
-
-    /// Line, frames that should have seen it, frames that did.
-    pub fn lines(&self) -> impl Iterator<Item = (LineId, u32, u32)> + '_ {
-        self.line_counts.iter().map(|(id, (visible, found))| (*id, *visible, *found))
-    }
-
-    /// Point, frames that should have seen it, frames that did.
-    pub fn iter(&self) -> impl Iterator<Item = (PointId, u32, u32)> + '_ {
-        self.counts.iter().map(|(id, (visible, found))| (*id, *visible, *found))
-    }
 }
 
 impl LocalMap {

@@ -3,20 +3,18 @@
 mod alignment;
 mod following;
 pub(crate) mod frame;
-mod judgement;
+pub(crate) mod judgement;
 mod keyframe_policy;
-pub(crate) mod lines;
+mod lines;
 mod local_map;
 mod pose;
 mod primitives;
 mod recovery;
 pub(crate) mod relocalisation;
-pub(crate) mod search;
-
-pub(crate) use local_map::Sightings;
 
 use crate::config::{ConfigError, SlamConfig};
 use crate::features::View;
+use crate::landmarks::Sightings;
 use crate::map::{Map, SubmapId};
 use crate::report::{LostReason, TrackingOutcome};
 use alignment::Aligner;
@@ -72,7 +70,7 @@ pub(crate) struct Tracker {
 }
 
 impl Tracker {
-    /// A tracker that looks for a lost camera in the whole map. `working_camera` is that of the images it [sees](Self::see).
+    /// A tracker that looks for a lost camera in the whole map. `working_camera` is that of the images it [is given](Self::set_image).
     ///
     /// # Errors
     /// If the configuration of the search for vanishing points cannot be used.
@@ -102,7 +100,7 @@ impl Tracker {
     }
 
     /// Takes the image of the frame that is tracked next.
-    pub fn see(&mut self, image: Arc<GrayImage>) {
+    pub fn set_image(&mut self, image: Arc<GrayImage>) {
         self.image = Some(image);
     }
 
@@ -115,15 +113,15 @@ impl Tracker {
     }
 
     /// Takes over corrections that mapping made since the last frame.
-    pub fn adopt(&mut self, map: &Map) {
+    pub fn sync_map(&mut self, map: &Map) {
         if let Some(relocaliser) = &mut self.relocaliser {
-            relocaliser.learn(map);
+            relocaliser.update(map);
         }
         if let Some(aligner) = &mut self.aligner {
             aligner.correct_camera(map.correction());
         }
-        self.line_tracks.learn(map);
-        self.primitive_tracks.learn(map);
+        self.line_tracks.update(map);
+        self.primitive_tracks.update(map);
         let Some(last) = &mut self.last else { return };
         let Some((anchor, (submap, camera_from_world))) =
             map.anchor_of(last.place.reference).zip(map.locate(&last.place))

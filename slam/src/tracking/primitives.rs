@@ -14,7 +14,7 @@ pub(super) struct PrimitiveTracks {
 
 impl PrimitiveTracks {
     /// Takes over what mapping found out about the tracks of the newest key frames.
-    pub fn learn(&mut self, map: &Map) {
+    pub fn update(&mut self, map: &Map) {
         for keyframe in newest_keyframes(map) {
             for vanishing in &keyframe.vanishing {
                 let tracks =

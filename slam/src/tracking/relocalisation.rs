@@ -2,10 +2,10 @@
 
 use super::frame::TrackedFrame;
 use super::pose::place_frame;
-use super::search::{Expected, match_keyframe, search_by_motion};
 use crate::config::{ConfigError, PrimitiveConfig, RelocalisationConfig, SlamConfig};
 use crate::features::View;
 use crate::map::{Keyframe, KeyframeId, Map, PointId, SubmapId};
+use crate::matching::{Expected, match_keyframe, search_by_motion};
 use crate::places::KeyframePlaces;
 use crate::vanishing::VanishingFinder;
 use geometry::Pose;
@@ -72,8 +72,8 @@ impl Relocaliser {
     }
 
     /// Enters the key frames that are new in the map and drops those that are gone.
-    pub fn learn(&mut self, map: &Map) {
-        self.places.learn(map);
+    pub fn update(&mut self, map: &Map) {
+        self.places.update(map);
     }
 
     /// Places that were tried for the last frame.

@@ -1,11 +1,11 @@
 //! Joining lines that are the same and adding sightings that were missed. [ALGORITHMS 5.6]
 
-use super::triangulation::TrackView;
 use super::verification::{Verdict, judge};
 use crate::config::{LineConfig, SlamConfig};
+use crate::landmarks::TrackView;
 use crate::map::{Keyframe, KeyframeId, LineId, LineLandmark, Map, Observation};
 use crate::mapping::neighbours;
-use crate::tracking::lines::{ExpectedLine, PredictedSegment, match_lines};
+use crate::matching::{ExpectedLine, PredictedSegment, match_lines};
 use std::collections::BTreeSet;
 
 /// Looks for the neighbours' lines in the key frame and for the key frame's lines in its neighbours.

@@ -1,17 +1,15 @@
 //! Lines of the map: made of tracked segments, verified, joined and culled, key frame by key frame.
 //! [ALGORITHMS 5; paper, "Global Structure Association"]
 
-mod extent;
 mod fusion;
 mod triangulation;
 mod verification;
 
-pub(crate) use extent::seen_part;
-pub(crate) use triangulation::{TrackView, directed};
 use verification::{Verdict, judge};
 
 use crate::config::SlamConfig;
-use crate::map::{KeyframeId, LineId, Map, Observation};
+use crate::landmarks::TrackView;
+use crate::map::{KeyframeId, LineId, Map, Observation, median_depth};
 use crate::report::{LineJudgement, LineVerdict};
 use std::collections::BTreeMap;
 
@@ -94,7 +92,7 @@ impl LineMapper {
             .filter(|seen| map.keyframe(seen.keyframe).is_some_and(|keyframe| keyframe.submap == submap))
             .filter_map(|seen| TrackView::of(map, *seen))
             .collect();
-        let median_depth = super::median_depth(map, keyframe);
+        let median_depth = median_depth(map, keyframe);
         let Some(candidate) = triangulation::triangulate(&views, median_depth, &config.lines) else { return };
         let verdict = candidate.outcome.as_ref().err().copied().unwrap_or(LineVerdict::Made);
         let endpoints_in_camera =

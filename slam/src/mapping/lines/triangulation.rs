@@ -1,61 +1,30 @@
 //! A line of space from the segments of one track. [ALGORITHMS 5.4, 5.5]
 
-use super::extent::seen_part;
 use super::verification::verify;
 use crate::bundle::anchored_line::AnchoredLine;
 use crate::bundle::factors::LineReprojectionFactor;
 use crate::config::LineConfig;
-use crate::features::LineFeature;
-use crate::map::{LinePlace, Map, Observation};
+use crate::landmarks::{TrackView, directed, seen_part};
+use crate::map::{LinePlace, Observation};
 use crate::report::LineVerdict;
 use geometry::nalgebra::{Matrix4, Vector2, Vector3, Vector4};
-use geometry::{Line3, OrthonormalLine, Pinhole, Pose, line};
+use geometry::{Line3, OrthonormalLine, Pose, line};
 use optim::{Factor, Kernel, Linearized, SingleOptions, UnaryGroup, chi2_95, optimize_single};
-use vision::GridBounds;
 
 /// Step of the difference quotients that lead from a line's parameters to depths, radians.
 const DIFFERENCE_STEP: f64 = 1e-6;
-
-/// A segment in the key frame that shows it.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct TrackView {
-    pub seen: Observation,
-    pub camera_from_world: Pose,
-    pub pinhole: Pinhole,
-    /// Where undistorted pixels of the image can lie.
-    pub bounds: GridBounds,
-    pub segment: LineFeature,
-}
-
-impl TrackView {
-    /// `None` if there is no such key frame.
-    pub fn of(map: &Map, seen: Observation) -> Option<Self> {
-        let keyframe = map.keyframe(seen.keyframe)?;
-        Some(Self {
-            seen,
-            camera_from_world: keyframe.camera_from_world,
-            pinhole: keyframe.features.pinhole,
-            bounds: keyframe.features.bounds,
-            segment: *keyframe.features.lines.get(seen.feature_idx as usize)?,
-        })
-    }
-
-    /// Unit normal, in the camera, of the plane that the camera's centre and the segment span.
-    fn plane_normal(&self) -> Option<Vector3<f64>> {
-        let [start, end] = [self.segment.start, self.segment.end].map(|end| self.pinhole.bearing(&end));
-        start.cross(&end).try_normalize(f64::MIN_POSITIVE)
-    }
-
-    fn factor(&self, anchored: &AnchoredLine) -> HeldPose {
-        let factor = anchored.factor(self.pinhole, &self.segment);
-        HeldPose { camera_from_world: self.camera_from_world, factor }
-    }
-}
 
 /// A line's reprojection with the camera held where it is.
 struct HeldPose {
     camera_from_world: Pose,
     factor: LineReprojectionFactor,
+}
+
+impl HeldPose {
+    fn new(view: &TrackView, anchored: &AnchoredLine) -> Self {
+        let factor = anchored.factor(view.pinhole, &view.segment);
+        Self { camera_from_world: view.camera_from_world, factor }
+    }
 }
 
 impl Factor for HeldPose {
@@ -133,7 +102,7 @@ fn best_pair(views: &[TrackView], min_angle_deg: f64) -> Option<(&TrackView, &Tr
 /// a share of the depth. Large where the planes of all views nearly coincide: then nothing is known along the rays.
 fn refine(rough: &LinePlace, views: &[TrackView]) -> Option<(Line3, f64)> {
     let anchored = AnchoredLine::new(rough)?;
-    let factors = views.iter().map(|view| view.factor(&anchored)).collect();
+    let factors = views.iter().map(|view| HeldPose::new(view, &anchored)).collect();
     let mut group = UnaryGroup::new(Kernel::huber_95(2), chi2_95(2), factors);
     let report =
         optimize_single::<OrthonormalLine, 4>(&anchored.line, &mut [&mut group], &SingleOptions::default());
@@ -169,12 +138,4 @@ fn depth_sigma_share(
     }
     let variance = gradient.dot(&(covariance * gradient));
     (at > 0.0 && variance >= 0.0).then(|| variance.sqrt() / at)
-}
-
-/// The same line with its direction from the first end to the second.
-pub(crate) fn directed(line: &Line3, endpoints: &[Vector3<f64>; 2]) -> Option<Line3> {
-    if line.direction().dot(&(endpoints[1] - endpoints[0])) >= 0.0 {
-        return Some(*line);
-    }
-    Line3::from_pluecker(&-line.moment(), &-line.direction())
 }

@@ -1,10 +1,10 @@
 //! The paper's three tests of a line before it enters the map. [paper, "Global Structure Association"]
 
-use super::triangulation::TrackView;
 use crate::config::LineConfig;
+use crate::landmarks::TrackView;
 use crate::map::Observation;
+use crate::matching::project_segment;
 use crate::report::LineVerdict;
-use crate::tracking::lines::project_segment;
 use geometry::nalgebra::{Vector2, Vector3};
 
 /// What a test says of one view.

@@ -1,7 +1,7 @@
 //! Which primitive a vanishing point shows. [ALGORITHMS 6.3]
 
-use super::estimate::{estimate_direction, in_world, sigma_rad};
 use crate::config::PrimitiveConfig;
+use crate::landmarks::{estimate_direction, in_world, sigma_rad};
 use crate::map::{GlobalPrimitive, Keyframe, KeyframeId, Map, PrimitiveId, PrimitiveObservation};
 use geometry::Direction;
 use std::collections::{BTreeMap, BTreeSet};

@@ -2,10 +2,7 @@
 //! [paper, "Global Primitives"; ALGORITHMS 6]
 
 mod association;
-mod estimate;
 mod upkeep;
-
-pub(crate) use estimate::{DirectionEstimate, estimate_direction};
 
 use crate::config::{ConfigError, SlamConfig};
 use crate::map::{KeyframeId, Map};

@@ -1,7 +1,7 @@
 //! Keeping primitives in order: directions after poses moved, joining, retirement, and which lines belong to them.
 
-use super::estimate::estimate_direction;
 use crate::config::PrimitiveConfig;
+use crate::landmarks::estimate_direction;
 use crate::map::{GlobalPrimitive, Keyframe, KeyframeId, LineId, Map, PrimitiveId};
 use std::collections::BTreeMap;
 

@@ -55,7 +55,7 @@ pub(crate) fn estimate_direction(
 }
 
 /// A vanishing point's direction in the world.
-pub(super) fn in_world(keyframe: &Keyframe, vanishing_idx: u32) -> Option<Direction> {
+pub(crate) fn in_world(keyframe: &Keyframe, vanishing_idx: u32) -> Option<Direction> {
     let vanishing = keyframe.vanishing.get(vanishing_idx as usize)?;
     Direction::new(keyframe.camera_from_world.rotation.inverse() * vanishing.direction)
 }
@@ -72,7 +72,7 @@ fn information_in(basis: &Matrix3x2<f64>, covariance: &Matrix3<f64>) -> Option<M
 }
 
 /// Standard deviation of a vanishing point's direction, attitude included, in its worst direction, radians.
-pub(super) fn sigma_rad(covariance: &Matrix3<f64>) -> f64 {
+pub(crate) fn sigma_rad(covariance: &Matrix3<f64>) -> f64 {
     // The trace bounds the largest eigenvalue and is at most twice it.
     (covariance.trace().max(0.0) / 2.0 + ATTITUDE_SIGMA_RAD * ATTITUDE_SIGMA_RAD).sqrt()
 }

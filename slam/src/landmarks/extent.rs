@@ -1,6 +1,6 @@
 //! Which part of an infinite line was seen. [ALGORITHMS 5.6]
 
-use super::triangulation::TrackView;
+use super::track_view::TrackView;
 use geometry::Line3;
 use geometry::nalgebra::{Vector2, Vector3};
 

@@ -1,9 +1,9 @@
-//! Two pieces of work at the same time.
+//! Two pieces of work at the same time (fork and join).
 
 use std::sync::{Mutex, PoisonError};
 
 /// Runs both, the second on a thread of its own of this name; one after the other where no thread can be started.
-pub(crate) fn beside<A, B: Send>(
+pub(crate) fn join<A, B: Send>(
     name: &str,
     first: impl FnOnce() -> A,
     second: impl FnOnce() -> B + Send,
@@ -36,7 +36,7 @@ mod tests {
     fn both_run_and_may_borrow() {
         let (left, right) = (vec![1, 2, 3], vec![4, 5]);
         let this_thread = std::thread::current().id();
-        let (sum, (product, thread)) = beside(
+        let (sum, (product, thread)) = join(
             "test",
             || left.iter().sum::<i32>(),
             || (right.iter().product::<i32>(), std::thread::current().id()),
@@ -47,9 +47,9 @@ mod tests {
 
     #[test]
     fn a_panic_of_either_reaches_the_caller() {
-        let of_second = std::panic::catch_unwind(|| beside("test", || 1, || -> i32 { panic!("second") }));
+        let of_second = std::panic::catch_unwind(|| join("test", || 1, || -> i32 { panic!("second") }));
         assert_eq!(of_second.unwrap_err().downcast_ref::<&str>(), Some(&"second"));
-        let of_first = std::panic::catch_unwind(|| beside("test", || -> i32 { panic!("first") }, || 1));
+        let of_first = std::panic::catch_unwind(|| join("test", || -> i32 { panic!("first") }, || 1));
         assert_eq!(of_first.unwrap_err().downcast_ref::<&str>(), Some(&"first"));
     }
 }

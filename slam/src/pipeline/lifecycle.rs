@@ -1,0 +1,125 @@
+//! Opening, resuming and ending a session, and what it is asked for between frames.
+
+use super::Pipeline;
+use crate::backfill::Backfill;
+use crate::clock::Clock;
+use crate::config::{ConfigError, SlamConfig, Threading};
+use crate::front_end::FrontEnd;
+use crate::initialisation::Initialiser;
+use crate::input::{ResumeError, ResumeState};
+use crate::map::{Map, MapUpdate};
+use crate::mapping::Mapper;
+use crate::mapping::stage::MappingStage;
+use crate::report::LineJudgement;
+use crate::submaps::SubmapPolicy;
+use crate::tracking::Tracker;
+use crate::trajectory::TrajectoryLog;
+use geometry::Camera;
+use std::sync::Arc;
+
+impl Pipeline {
+    /// A session without a map.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names the field of the configuration that cannot be used.
+    pub fn new(config: SlamConfig, camera: Camera, clock: Arc<dyn Clock>) -> Result<Self, ResumeError> {
+        Self::resume(config, camera, clock, ResumeState::default())
+    }
+
+    /// A session that goes on with a stored map: it relocalises in it and continues.
+    ///
+    /// # Errors
+    /// If the configuration cannot be used or the stored map is inconsistent.
+    pub fn resume(
+        config: SlamConfig,
+        camera: Camera,
+        clock: Arc<dyn Clock>,
+        state: ResumeState,
+    ) -> Result<Self, ResumeError> {
+        config.validate()?;
+        let map = Map::from_parts(state.map)?;
+        // Numbers of tracks begin anew with each run and must not meet those of stored key frames.
+        let segments = map.keyframes().flat_map(|keyframe| &keyframe.features.lines);
+        let first_track = segments.map(|segment| segment.track + 1).max().unwrap_or(0);
+        let mut front_end = FrontEnd::new(&config, &camera, first_track)?;
+        front_end.correct_camera(map.correction());
+        let mapper = Mapper::new(config.clone(), map.clone())?;
+        let mapping = match config.threading {
+            Threading::Inline => MappingStage::inline(mapper),
+            Threading::Background => MappingStage::background(mapper).map_err(|error| ConfigError {
+                field: "threading",
+                reason: format!("the mapping thread cannot be started: {error}"),
+            })?,
+        };
+        let mut tracker = Tracker::new(config.clone(), config.working_camera(&camera))?;
+        tracker.sync_map(&map);
+        let is_empty = map.n_keyframes() == 0;
+        let mut pipeline = Self {
+            camera,
+            clock,
+            front_end,
+            mapping,
+            tracker,
+            initialiser: is_empty.then(|| Initialiser::new(&config)),
+            backfill: Backfill::new(config.clone()),
+            submaps: SubmapPolicy::resume(config.submaps.clone(), &map),
+            trajectory: TrajectoryLog::default(),
+            next_keyframe_idx: map.last_ids().keyframe,
+            map: Arc::new(map),
+            last_frame: state.last_frame,
+            mapping_enabled: true,
+            lossless: true,
+            config,
+        };
+        pipeline.choose_n_features();
+        Ok(pipeline)
+    }
+
+    /// The map updates that are ready to be stored, oldest first. Call after each frame.
+    pub fn take_updates(&mut self) -> Vec<MapUpdate> {
+        self.mapping.take_updates()
+    }
+
+    /// What mapping made of candidate lines since this was last called, oldest first; if that was long ago, the newest.
+    pub fn take_line_judgements(&mut self) -> Vec<LineJudgement> {
+        self.mapping.take_line_judgements()
+    }
+
+    /// Lets mapping finish what it has begun and hands out every frame not yet in an update.
+    pub fn finish(&mut self) -> Vec<MapUpdate> {
+        self.mapping.settle();
+        self.sync_map();
+        while !self.backfill.is_done(&self.map) {
+            self.trajectory.backfill(self.backfill.step(&self.map, true));
+        }
+        self.flush_records();
+        self.mapping.wait();
+        self.sync_map();
+        self.take_updates()
+    }
+
+    /// Whether frames may change the map (the default) or only be located in it.
+    pub fn set_mapping(&mut self, enabled: bool) {
+        self.mapping_enabled = enabled;
+    }
+
+    /// How tracking waits for mapping: `true` (the default) lets it finish before each frame, while the frame's features are
+    /// looked for, and leaves no key frame out; `false` never waits.
+    pub fn set_lossless(&mut self, lossless: bool) {
+        self.lossless = lossless;
+    }
+
+    /// The newest consistent state of the map.
+    pub fn map(&self) -> Arc<Map> {
+        self.mapping.newest_map()
+    }
+
+    /// Matches are scarce before there is a map, so more features are asked for.
+    pub(super) fn choose_n_features(&mut self) {
+        let n_features = match &self.initialiser {
+            Some(_) => self.config.initialisation.n_features.max(self.config.orb.n_features),
+            None => self.config.orb.n_features,
+        };
+        self.front_end.set_n_features(n_features);
+    }
+}

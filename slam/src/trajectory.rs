@@ -1,0 +1,124 @@
+//! The trajectory until it is stored: which frames' poses are waiting, and which may yet be taken back.
+
+use crate::map::{FramePose, FrameRecord, FrameState};
+
+/// Frames without a keyframe after which the trajectory so far is handed out to be stored.
+const MAX_UNRECORDED_FRAMES: usize = 30;
+
+/// Poses of frames that are not stored yet.
+#[derive(Debug, Default)]
+pub(crate) struct TrajectoryLog {
+    /// Frames not yet handed to mapping to be stored with the next keyframe.
+    unrecorded: Vec<FrameRecord>,
+    /// Frames of a map so young that it may yet be discarded.
+    at_risk: Vec<FrameRecord>,
+}
+
+impl TrajectoryLog {
+    /// Notes a frame. `is_young` says whether its submap may yet be discarded.
+    pub fn note(&mut self, record: FrameRecord, is_young: bool) {
+        self.unrecorded.push(record);
+        if !is_young {
+            self.at_risk.clear();
+        } else if record.pose.is_some() {
+            self.at_risk.push(record);
+        }
+    }
+
+    /// Notes the frame that a map begins with. Returns it with all that came before it.
+    pub fn begin_map(&mut self, first: FrameRecord) -> Vec<FrameRecord> {
+        self.unrecorded.push(first);
+        self.at_risk = vec![first];
+        self.take()
+    }
+
+    /// Notes frames that were placed after the fact.
+    pub fn backfill(&mut self, placed: impl IntoIterator<Item = FrameRecord>) {
+        self.unrecorded.extend(placed);
+    }
+
+    /// The submap is kept: what was placed in it stays.
+    pub fn keep_submap(&mut self) {
+        self.at_risk.clear();
+    }
+
+    /// The submap is discarded: what was placed in it has no pose.
+    pub fn discard_submap(&mut self) {
+        let unplaced = |record| FrameRecord { pose: None, state: FrameState::Initialising, ..record };
+        self.unrecorded.extend(self.at_risk.drain(..).map(unplaced));
+    }
+
+    /// Whether so many frames wait that they should be stored without a keyframe.
+    pub fn is_full(&self) -> bool {
+        self.unrecorded.len() >= MAX_UNRECORDED_FRAMES
+    }
+
+    /// Hands out the frames that wait.
+    pub fn take(&mut self) -> Vec<FrameRecord> {
+        std::mem::take(&mut self.unrecorded)
+    }
+}
+
+/// The record of the frame at which a map begins: its pose is that of its keyframe.
+pub(crate) fn first_record(sequence: u64, timestamp_ns: i64, pose: FramePose) -> FrameRecord {
+    FrameRecord { sequence, timestamp_ns, state: FrameState::Tracked, pose: Some(pose), backfilled: true }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::map::{KeyframeId, SubmapId};
+    use geometry::Pose;
+
+    fn record(sequence: u64, placed: bool) -> FrameRecord {
+        let pose = FramePose {
+            submap: SubmapId::default(),
+            reference: KeyframeId::from_index(0),
+            camera_from_reference: Pose::identity(),
+        };
+        let timestamp_ns = sequence as i64;
+        FrameRecord {
+            sequence,
+            timestamp_ns,
+            state: FrameState::Tracked,
+            pose: placed.then_some(pose),
+            backfilled: false,
+        }
+    }
+
+    fn placed(log: &mut TrajectoryLog) -> Vec<(u64, bool)> {
+        log.take().iter().map(|record| (record.sequence, record.pose.is_some())).collect()
+    }
+
+    #[test]
+    fn frames_of_a_discarded_submap_lose_their_poses() {
+        let mut log = TrajectoryLog::default();
+        log.note(record(0, true), true);
+        log.note(record(1, false), true);
+        assert_eq!(placed(&mut log), [(0, true), (1, false)]);
+        log.note(record(2, true), true);
+        log.discard_submap();
+        assert_eq!(placed(&mut log), [(2, true), (0, false), (2, false)]);
+    }
+
+    #[test]
+    fn frames_of_a_submap_that_grew_up_keep_their_poses() {
+        let mut log = TrajectoryLog::default();
+        log.note(record(0, true), true);
+        log.note(record(1, true), false);
+        log.discard_submap();
+        assert_eq!(placed(&mut log), [(0, true), (1, true)]);
+    }
+
+    #[test]
+    fn a_log_fills_without_keyframes() {
+        let mut log = TrajectoryLog::default();
+        let n = (0..).take_while(|sequence| {
+            log.note(record(*sequence, true), false);
+            !log.is_full()
+        });
+        assert_eq!(n.count() + 1, MAX_UNRECORDED_FRAMES);
+        assert_eq!(log.take().len(), MAX_UNRECORDED_FRAMES);
+        assert!(!log.is_full());
+    }
+}
