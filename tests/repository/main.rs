@@ -1,0 +1,3 @@
+//! What must hold of the repository itself: modules import one way.
+
+mod floors;
