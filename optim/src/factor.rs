@@ -3,7 +3,8 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::manifold::{Manifold, sealed};
-use crate::problem::{NormalEquations, Side, Stores, VariableId, VariableRef, VariableSlot};
+use crate::normal::NormalEquations;
+use crate::variables::{Side, Stores, VariableId, VariableRef, VariableSlot};
 
 /// One term `½ ρ(‖r‖²)` of the cost, between one to three variables.
 ///

@@ -71,16 +71,20 @@
 mod factor;
 mod kernel;
 mod manifold;
+mod normal;
 mod pose_only;
 mod problem;
 mod reduced;
 mod schur;
 mod solver;
 pub mod testing;
+mod variables;
 
 pub use factor::{Factor, HoldSecond, Jacobians, Linearized, Residual, ValueRefs, VariableIds, Variables};
 pub use kernel::{Kernel, chi2_95};
 pub use manifold::{Manifold, Tangent};
 pub use pose_only::{SingleOptions, SingleReport, UnaryGroup, UnaryTerms, optimize_single};
-pub use problem::{Cost, GroupId, INVALID_CHI2, Problem, VariableId};
-pub use solver::{LinearSolver, SolveReport, SolverOptions, StopReason};
+pub use problem::{Cost, GroupId, INVALID_CHI2, Problem};
+pub use reduced::LinearSolver;
+pub use solver::{SolveReport, SolverOptions, StopReason};
+pub use variables::VariableId;

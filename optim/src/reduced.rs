@@ -9,7 +9,6 @@ use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Conj, Mat, MatMut, Par, Side};
 
 use crate::problem::Structure;
-use crate::solver::LinearSolver;
 
 /// Up to this dimension dense factorisation wins whatever the sparsity.
 const DENSE_DIM: usize = 300;
@@ -18,6 +17,18 @@ const DENSE_FILL: f64 = 0.4;
 
 /// One thread: a session's work stays on the session's thread, and sums keep their order.
 const SEQUENTIAL: Par = Par::Seq;
+
+/// How the reduced system is factorised.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LinearSolver {
+    /// Dense for small or densely connected problems, sparse for large and loose ones.
+    #[default]
+    Auto,
+    /// Dense Cholesky.
+    Dense,
+    /// Sparse Cholesky under a minimum-degree ordering.
+    Sparse,
+}
 
 /// The reduced system is not positive definite at this damping.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

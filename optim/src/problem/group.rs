@@ -4,10 +4,10 @@ use std::any::Any;
 use std::fmt;
 use std::marker::PhantomData;
 
-use super::normal::NormalEquations;
-use super::store::{NO_SLOT, Side, Stores, VariableRef};
 use crate::factor::{Factor, Residual, VariableIds, Variables};
 use crate::kernel::Kernel;
+use crate::normal::NormalEquations;
+use crate::variables::{NO_SLOT, Side, Stores, VariableRef};
 
 /// The squared norm at which a factor that cannot be evaluated is counted.
 ///

@@ -1,25 +1,21 @@
 //! The factor graph: variables, factors, and the linear system they make.
 
 mod group;
-mod normal;
-mod store;
 mod structure;
 
 use nalgebra::{DMatrix, DVector};
 
 pub use group::{Cost, GroupId, INVALID_CHI2};
-pub use normal::NormalEquations;
-pub use store::{Side, Stores, VariableId, VariableRef, VariableSlot};
 pub(crate) use structure::{Landmark, Member, ReducedVariable, Structure};
 
 use crate::factor::{Factor, VariableIds};
 use crate::kernel::Kernel;
 use crate::manifold::Manifold;
-use crate::reduced::ReducedSolver;
+use crate::normal::NormalEquations;
+use crate::reduced::{LinearSolver, ReducedSolver};
 use crate::schur::{Damping, LandmarkSpan, Schur};
-use crate::solver::LinearSolver;
+use crate::variables::{Role, Side, Stores, VariableId, VariableRef};
 use group::{Group, TypedGroup};
-use store::Role;
 
 /// A nonlinear least-squares problem `min ½ Σ ρ(‖r‖²)` over manifolds.
 ///

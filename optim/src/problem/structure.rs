@@ -6,8 +6,8 @@
 use std::ops::Range;
 
 use super::group::{FactorPairs, Group};
-use super::normal::TRANSPOSED;
-use super::store::{NO_SLOT, Role, Stores, VariableRef, VariableSlot};
+use crate::normal::TRANSPOSED;
+use crate::variables::{NO_SLOT, Role, Stores, VariableRef, VariableSlot};
 
 /// A free variable of the reduced system.
 #[derive(Clone, Copy, Debug)]

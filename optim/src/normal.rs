@@ -3,8 +3,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::schur::multiply_add;
-
-use super::store::{NO_SLOT, VariableSlot};
+use crate::variables::{NO_SLOT, VariableSlot};
 
 /// Set on a pair's offset when the block is stored as (second member) x (first member).
 pub(crate) const TRANSPOSED: u32 = 1 << 31;
