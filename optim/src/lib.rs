@@ -68,8 +68,11 @@
 //! ```
 #![warn(missing_docs)]
 
+mod arithmetic;
+mod cost;
 mod factor;
 mod kernel;
+mod layout;
 mod manifold;
 mod normal;
 mod pose_only;
@@ -79,12 +82,15 @@ mod schur;
 mod solver;
 pub mod testing;
 mod variables;
+mod wiring;
 
-pub use factor::{Factor, HoldSecond, Jacobians, Linearized, Residual, ValueRefs, VariableIds, Variables};
+pub use cost::{Cost, INVALID_CHI2};
+pub use factor::{Factor, HoldSecond, Jacobians, Linearized, Residual, ValueRefs, VariableIds};
 pub use kernel::{Kernel, chi2_95};
 pub use manifold::{Manifold, Tangent};
 pub use pose_only::{SingleOptions, SingleReport, UnaryGroup, UnaryTerms, optimize_single};
-pub use problem::{Cost, GroupId, INVALID_CHI2, Problem};
+pub use problem::{GroupId, Problem};
 pub use reduced::LinearSolver;
 pub use solver::{SolveReport, SolverOptions, StopReason};
 pub use variables::VariableId;
+pub use wiring::Variables;

@@ -1,6 +1,7 @@
 //! Levenberg-Marquardt.
 
-use crate::problem::{Cost, Problem};
+use crate::cost::Cost;
+use crate::problem::Problem;
 use crate::reduced::LinearSolver;
 use crate::schur::Damping;
 use crate::variables::Side;

@@ -1,7 +1,8 @@
 //! Checks for factors and manifolds, to be called from tests.
 
-use crate::factor::{Factor, Residual, Variables};
+use crate::factor::{Factor, Residual};
 use crate::manifold::{Manifold, Tangent};
+use crate::wiring::{Variables, Wiring};
 
 /// Asserts that a factor's derivatives agree with central differences of its residual at `values`.
 ///
