@@ -2,20 +2,15 @@
 
 use nalgebra::Vector2;
 
-use super::Paths;
+use super::paths::{HALF_PATH, MAX_PATH, MAX_SEARCH, Paths};
 
-/// A path compared reaches this far on either side of the edge, pixels of its level.
-pub(super) const HALF_PATH: usize = 5;
+/// Grey levels of a path compared.
 const PATH: usize = 2 * HALF_PATH + 1;
 /// Largest shift from the guess, pixels of the level.
 const MAX_SHIFT: usize = 3;
 /// What is read of either image, so that a path can be shifted there and back.
 const HALF_READ: usize = HALF_PATH + MAX_SHIFT + 1;
 const READ: usize = 2 * HALF_READ + 1;
-/// Largest shift of the search on the coarsest level, pixels of that level.
-const MAX_SEARCH: usize = 8;
-/// The longest path read.
-pub(super) const MAX_PATH: usize = 2 * (HALF_PATH + MAX_SEARCH) + 1;
 
 /// Weights of a path: Gaussian, sigma 2.5 pixels, so the edge itself counts most and its neighbours least.
 const WEIGHTS: [f32; PATH] =

@@ -1,6 +1,7 @@
 use nalgebra::Matrix3;
 
 use super::*;
+use crate::GrayImage;
 use crate::lines::test_scenes::{Scene, apply, similarity};
 use crate::test_images::noise;
 
