@@ -41,8 +41,8 @@ pub trait Factor: Send + Sync + 'static {
     /// The residual, an `SVector<f64, R>`.
     type Residual: Residual;
 
-    /// The tuple of variable types, such as `(Pose, Vector3<f64>)`. The second bound says no more than the first:
-    /// it is the solver's access to such a tuple.
+    /// The tuple of variable types, such as `(Pose, Vector3<f64>)`. The second bound says no more than the
+    /// first: it is the solver's access to such a tuple.
     type Variables: Variables<Self::Residual> + Wiring<Self::Residual>;
 
     /// The whitened residual at `values`, or `None` where it is not defined.

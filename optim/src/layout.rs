@@ -1,7 +1,7 @@
 //! Where every block of the normal equations lies: sparsity pattern and offsets into one flat buffer.
 //!
-//! Poses `A`, `B`, `C` stay in the reduced system, points `p`, `q` are landmarks; `p` is seen from `A` and `B`,
-//! `q` from `B` and `C`. Of the symmetric Hessian these blocks are kept:
+//! Poses `A`, `B`, `C` stay in the reduced system, points `p`, `q` are landmarks; `p` is seen from `A` and
+//! `B`, `q` from `B` and `C`. Of the symmetric Hessian these blocks are kept:
 //!
 //! ```text
 //!        A    B    C  |  p    q
@@ -17,12 +17,12 @@
 //!            by columns       blocks    landmark by landmark
 //! ```
 //!
-//! `BA` is there although no factor ties `A` and `B`: the Schur complement over `p` fills it. `CA` is not, since
-//! no landmark and no factor has both. Every block is column-major. The gradient is a second buffer,
-//! `A B C | p q`.
+//! `BA` is there although no factor ties `A` and `B`: the Schur complement over `p` fills it. `CA` is not,
+//! since no landmark and no factor has both. Every block is column-major. The gradient is a second buffer, `A
+//! B C | p q`.
 //!
-//! A landmark's *members* are the reduced variables it is tied to, in their order (`p`: `A`, `B`); its *pairs*
-//! say where the product of two members goes in the reduced system (`p`: `BA`). They are listed as
+//! A landmark's *members* are the reduced variables it is tied to, in their order (`p`: `A`, `B`); its
+//! *pairs* say where the product of two members goes in the reduced system (`p`: `BA`). They are listed as
 //!
 //! ```text
 //!   (0,1) (0,2) … (0,n−1)   (1,2) (1,3) … (1,n−1)   …   (n−2,n−1)

@@ -1,5 +1,5 @@
-//! One variable against many unary factors: the pose of a frame against a fixed map, for every frame (motion-only
-//! bundle adjustment).
+//! One variable against many unary factors: the pose of a frame against a fixed map, for every frame
+//! (motion-only bundle adjustment).
 //!
 //! The same mathematics as [`crate::Problem`], without a graph: each iteration is one pass over the factors
 //! into one small matrix on the stack. Between rounds every observation is judged anew:
@@ -222,7 +222,8 @@ pub struct SingleReport<T, const N: usize> {
     pub n_inliers: usize,
     /// Cost of the factors that took part in the last round.
     pub cost: Cost,
-    /// `Σ w Jᵀ J` of the last round at its end, the inverse of the covariance of `value` in its tangent space.
+    /// `Σ w Jᵀ J` of the last round at its end, the inverse of the covariance of `value` in its tangent
+    /// space.
     pub information: SMatrix<f64, N, N>,
     /// Linear systems solved, over all rounds.
     pub n_iterations: usize,
@@ -311,7 +312,8 @@ where
     stop
 }
 
-/// Takes steps from `report.value`, at which `system` is, for as long as they pay; leaves both at the best value.
+/// Takes steps from `report.value`, at which `system` is, for as long as they pay; leaves both at the best
+/// value.
 fn descend<T, const N: usize>(
     system_at: impl Fn(&T) -> SmallSystem<N>,
     system: &mut SmallSystem<N>,

@@ -6,15 +6,15 @@
 //!                                                 E: poses with landmarks
 //! ```
 //!
-//! No factor has two landmarks, so `C` is block-diagonal, and the second row gives each landmark's step by itself:
-//! `δ = −C⁻¹ (g + Eᵀ x)`. Put into the first row, that leaves a system of the poses alone,
+//! No factor has two landmarks, so `C` is block-diagonal, and the second row gives each landmark's step by
+//! itself: `δ = −C⁻¹ (g + Eᵀ x)`. Put into the first row, that leaves a system of the poses alone,
 //!
 //! ```text
 //!   S x = b,    S = A − E C⁻¹ Eᵀ,    b = −g_r + E C⁻¹ g.
 //! ```
 //!
-//! `C⁻¹` is never formed: with `C = L Lᵀ` (damped), `F = E L⁻ᵀ` and `y = L⁻¹ g` it is `S = A − F Fᵀ`,
-//! `b = −g_r + F y`, which keeps `S` symmetric to the last bit and costs half. A landmark touches `S` only where
+//! `C⁻¹` is never formed: with `C = L Lᵀ` (damped), `F = E L⁻ᵀ` and `y = L⁻¹ g` it is `S = A − F Fᵀ`, `b =
+//! −g_r + F y`, which keeps `S` symmetric to the last bit and costs half. A landmark touches `S` only where
 //! two of its members meet; with members `a`, `b`, `c` it subtracts
 //!
 //! ```text
@@ -24,8 +24,8 @@
 //!   c  [ Fc Faᵀ  Fc Fbᵀ  Fc Fcᵀ ]      (a,b) (a,c) (b,c)
 //! ```
 //!
-//! This is where bundle adjustment spends its time: `n (n + 1) / 2` products for a landmark of `n` members. Blocks
-//! of 6 rows (poses) therefore have a path of their own, whose loops the compiler unrolls.
+//! This is where bundle adjustment spends its time: `n (n + 1) / 2` products for a landmark of `n` members.
+//! Blocks of 6 rows (poses) therefore have a path of their own, whose loops the compiler unrolls.
 //!
 //! Landmarks come in the order of their ids, so the sums are the same on every run.
 
@@ -118,7 +118,8 @@ impl Schur<'_> {
     /// Subtracts what landmarks of dimension `N` contribute to the reduced system.
     pub(crate) fn eliminate<const N: usize>(&mut self, span: LandmarkSpan<'_>) {
         for (index, landmark) in span.landmarks.iter().enumerate() {
-            // A landmark that its observations do not fix (no parallax) is held where it is: as if it were known.
+            // A landmark that its observations do not fix (no parallax) is held where it is: as if it were
+            // known.
             let lower = self.factor::<N>(landmark);
             self.held[span.first + index] = lower.is_none();
             let Some(lower) = lower else { continue };
@@ -146,7 +147,8 @@ impl Schur<'_> {
         }
     }
 
-    /// `S −= F Fᵀ` over all pairs of a landmark's members, whose `F` stand one behind the other in the scratch memory.
+    /// `S −= F Fᵀ` over all pairs of a landmark's members, whose `F` stand one behind the other in the
+    /// scratch memory.
     fn subtract_products<const N: usize>(&mut self, members: &[Member], pairs: &[u32]) {
         let mut pairs = pairs.iter();
         let mut a_at = 0;
@@ -198,8 +200,8 @@ impl Schur<'_> {
     fn factor<const N: usize>(&self, landmark: &Landmark) -> Option<SMatrix<f64, N, N>> {
         let mut c = SMatrix::<f64, N, N>::from_column_slice(&self.blocks[landmark.diagonal..][..N * N]);
         for k in 0..N {
-            // What is left of the damped diagonal after the columns before; if hardly anything, the landmark is not
-            // determined in this direction, and dividing by it would send it anywhere.
+            // What is left of the damped diagonal after the columns before; if hardly anything, the landmark
+            // is not determined in this direction, and dividing by it would send it anywhere.
             let diagonal = c[(k, k)] + self.damping.of(c[(k, k)]);
             let mut pivot = diagonal;
             for j in 0..k {

@@ -1,8 +1,8 @@
 //! How factors are wired to a problem: from ids to values, and from derivatives to the normal equations.
 //!
-//! A factor's variables are a tuple of types, and everything about it is known to the compiler: the lookup of the
-//! values, the sizes of the derivatives, the products `J_aᵀ J_b`. [`Wiring`] is that typed path. It is apart
-//! from [`Variables`], which users see, so that what it mentions can stay inside the crate.
+//! A factor's variables are a tuple of types, and everything about it is known to the compiler: the lookup of
+//! the values, the sizes of the derivatives, the products `J_aᵀ J_b`. [`Wiring`] is that typed path. It is
+//! apart from [`Variables`], which users see, so that what it mentions can stay inside the crate.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -32,8 +32,8 @@ pub trait Variables<R>: Sized + Clone + Send + Sync + 'static {
 /// The slots of all variables of each member's type; empty for members that a factor does not have.
 pub(crate) type Slots<'a> = [&'a [VariableSlot]; 3];
 
-/// The solver's access to a factor's variables. Implemented for the tuples that are [`Variables`]; nobody outside
-/// the crate can name it.
+/// The solver's access to a factor's variables. Implemented for the tuples that are [`Variables`]; nobody
+/// outside the crate can name it.
 #[expect(private_interfaces, reason = "sealed: only this crate can call these functions")]
 pub trait Wiring<R>: Variables<R> {
     /// All values of each member's type.

@@ -21,8 +21,8 @@ use group::{Group, TypedGroup};
 /// A nonlinear least-squares problem `min ½ Σ ρ(‖r‖²)` over manifolds.
 ///
 /// Variables are either *reduced* ([`Problem::add_variable`]: poses, similarities, directions) or *landmarks*
-/// ([`Problem::add_landmark`]: points, lines). Landmarks are eliminated before the linear system is solved, so
-/// a factor may touch any reduced variables but at most one landmark.
+/// ([`Problem::add_landmark`]: points, lines). Landmarks are eliminated before the linear system is solved,
+/// so a factor may touch any reduced variables but at most one landmark.
 ///
 /// Results depend on the order in which variables and factors are added and on nothing else: add them in the
 /// order of their ids. The linearisation is quickest when factors come landmark by landmark.
@@ -150,8 +150,8 @@ impl Problem {
     /// The covariance of a free reduced variable, in its tangent space, given that everything else is
     /// estimated too: the block of the inverse of the undamped reduced Hessian at the current values.
     ///
-    /// `None` when the variable is fixed or a landmark, or when the problem leaves it undetermined (such as by
-    /// an unfixed gauge).
+    /// `None` when the variable is fixed or a landmark, or when the problem leaves it undetermined (such as
+    /// by an unfixed gauge).
     pub fn marginal_covariance<T: Manifold>(&mut self, id: VariableId<T>) -> Option<DMatrix<f64>> {
         let variable = self.stores.variable_ref(id);
         let store = self.stores.store(variable.store as usize);
@@ -174,8 +174,8 @@ impl Problem {
     }
 
     /// The whole undamped Hessian `Σ w Jᵀ J` and gradient `Σ w Jᵀ r` of the free variables at the current
-    /// values: reduced ones first, then landmarks, each in the order in which its type appeared and then of its
-    /// id. For small problems, to be examined.
+    /// values: reduced ones first, then landmarks, each in the order in which its type appeared and then of
+    /// its id. For small problems, to be examined.
     pub fn dense_normal_equations(&mut self) -> (DMatrix<f64>, DVector<f64>) {
         self.ensure_system(LinearSolver::Auto);
         self.linearize();

@@ -1,11 +1,13 @@
 //! Builds the [`Layout`]: the order of the unknowns, the sparsity of the reduced system, and where each block
 //! lies.
 //!
-//! 1. Free variables are numbered: reduced ones, then landmarks; their dimensions give the gradient's offsets.
+//! 1. Free variables are numbered: reduced ones, then landmarks; their dimensions give the gradient's
+//!    offsets.
 //! 2. The factors are read once: those between a landmark and a reduced variable give the landmark's members,
 //!    those between two reduced variables the edges of the reduced system.
-//! 3. The reduced system is laid out column by column. Below the diagonal of a column stand the variables that
-//!    share a factor with it, and those that share a landmark with it: eliminating the landmark fills them in.
+//! 3. The reduced system is laid out column by column. Below the diagonal of a column stand the variables
+//!    that share a factor with it, and those that share a landmark with it: eliminating the landmark fills
+//!    them in.
 //! 4. Behind it come the landmarks' diagonal blocks, then their blocks with their members.
 //! 5. Variables and factors are told their offsets, so that the linearisation looks nothing up.
 //!
@@ -179,8 +181,8 @@ impl Layout {
         self.column_starts.push(self.rows.len());
     }
 
-    /// Notes where the products of `column` with each landmark's later members go. `offset_of` is scratch: the
-    /// offset of each row of this column. Rows of other columns keep stale ones, which nobody asks for.
+    /// Notes where the products of `column` with each landmark's later members go. `offset_of` is scratch:
+    /// the offset of each row of this column. Rows of other columns keep stale ones, which nobody asks for.
     fn note_pairs(&mut self, column: usize, here: &[(u32, u32)], offset_of: &mut [u32]) {
         for at in self.below(column) {
             offset_of[self.rows[at] as usize] = self.offsets[at];
@@ -305,8 +307,8 @@ impl Occurrences {
     }
 }
 
-/// The set of rows below the diagonal of one column after another. A row is in it when its stamp is the column's
-/// number, so that a new column clears nothing.
+/// The set of rows below the diagonal of one column after another. A row is in it when its stamp is the
+/// column's number, so that a new column clears nothing.
 struct ColumnPattern {
     column: u32,
     seen_in: Vec<u32>,

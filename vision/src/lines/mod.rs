@@ -1,7 +1,7 @@
 //! Line segments: detection, description, matching and tracking.
 //!
-//! Detectors: [`DetectorKind::EdgeDrawing`] (EDLines, ELSED) and [`DetectorKind::Lsd`]. Descriptor: [`LineDescriber`]
-//! (LBD). Tracking: [`LineTracker`], on optical flow by [`LineFlow`] (KLT).
+//! Detectors: [`DetectorKind::EdgeDrawing`] (EDLines, ELSED) and [`DetectorKind::Lsd`]. Descriptor:
+//! [`LineDescriber`] (LBD). Tracking: [`LineTracker`], on optical flow by [`LineFlow`] (KLT).
 
 mod clip;
 mod descriptor;

@@ -6,7 +6,7 @@ use crate::lines::select::Ends;
 
 /// Finds segments as they come: any number, to a pixel.
 pub(super) trait RawDetector: Send {
-    /// Appends the segments of `image`, whose gradient is `gradients`, to `segments`: start and end, brighter side to
-    /// the right.
+    /// Appends the segments of `image`, whose gradient is `gradients`, to `segments`: start and end, brighter
+    /// side to the right.
     fn detect(&mut self, image: &GrayImage, gradients: &Gradients, segments: &mut Vec<Ends>);
 }

@@ -29,7 +29,8 @@ pub(super) struct Aligned {
     pub shift: f32,
     /// Of the path with what was found, -1 to 1.
     pub correlation: f32,
-    /// How far from its beginning the found path leads when followed back, pixels of the level; 0 if not asked for.
+    /// How far from its beginning the found path leads when followed back, pixels of the level; 0 if not
+    /// asked for.
     pub forward_backward: f32,
 }
 
@@ -75,8 +76,8 @@ impl Aligner {
         by_cost.map_or(0, |(_, offset)| offset)
     }
 
-    /// Finds the path across `old` near `new`; with `and_back`, also follows it back. `None` if the path has no contrast
-    /// or leaves the stretch that was read.
+    /// Finds the path across `old` near `new`; with `and_back`, also follows it back. `None` if the path has
+    /// no contrast or leaves the stretch that was read.
     pub fn align(
         &self,
         paths: &Paths,
@@ -89,7 +90,8 @@ impl Aligner {
         paths.read_next(new, &mut next);
         let forward = align_profiles(&last, 0.0, &next, 0.0)?;
         let forward_backward = if and_back {
-            // The found path, whose own place in `next` is its shift, starts from where it would lie had it not moved.
+            // The found path, whose own place in `next` is its shift, starts from where it would lie had it
+            // not moved.
             let backward = align_profiles(&next, forward.shift, &last, 0.0)?;
             backward.shift.abs()
         } else {

@@ -9,8 +9,8 @@ pub struct LineFlowConfig {
     pub min_samples: usize,
     /// Most places along a segment: longer ones are sampled further apart. Default 20.
     pub max_samples: usize,
-    /// How far a segment may have moved across itself without a motion prior, pixels, at most 32. Default 24: 30 degrees
-    /// per second at 500 px focal length and 10 frames per second, or fast motion at 30.
+    /// How far a segment may have moved across itself without a motion prior, pixels, at most 32. Default 24:
+    /// 30 degrees per second at 500 px focal length and 10 frames per second, or fast motion at 30.
     pub search_px: f32,
     /// As `search_px` with a motion prior, pixels. Default 12.
     pub search_with_prior_px: f32,

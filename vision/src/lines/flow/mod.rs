@@ -1,8 +1,9 @@
 //! Where a segment of the last image lies in the next one, by optical flow (a KLT tracker for lines).
 //!
-//! Motion along an edge cannot be seen (the aperture problem), so only motion across it is measured: grey levels are read
-//! on short paths across the segment, at places spread along it, and each path is shifted until it fits the next image
-//! (Lucas & Kanade in one dimension), from the coarsest of three levels to the finest.
+//! Motion along an edge cannot be seen (the aperture problem), so only motion across it is measured: grey
+//! levels are read on short paths across the segment, at places spread along it, and each path is shifted
+//! until it fits the next image (Lucas & Kanade in one dimension), from the coarsest of three levels to the
+//! finest.
 //!
 //! ```text
 //!       last image                       next image
@@ -15,9 +16,10 @@
 //!                                          x               place 2 is an outlier
 //! ```
 //!
-//! After each level a [`ShiftLine`] `offset + slope * along` is fitted to the shifts, so what most places agree on guides
-//! the others, and is the guess at the next finer level. At the coarsest level the guess is the one offset under which
-//! all paths together fit best. Endpoints move along the line only as the motion prior says.
+//! After each level a [`ShiftLine`] `offset + slope * along` is fitted to the shifts, so what most places
+//! agree on guides the others, and is the guess at the next finer level. At the coarsest level the guess is
+//! the one offset under which all paths together fit best. Endpoints move along the line only as the motion
+//! prior says.
 
 mod align;
 mod config;
@@ -38,15 +40,16 @@ use paths::{HALF_PATH, Paths};
 pub use pyramid::FlowPyramid;
 use pyramid::N_LEVELS;
 
-/// Where a pixel of the last image is expected in the next one, for example by the homography of the infinite plane.
-/// What it gives may be anything: places that are not finite are taken to stay where they were.
+/// Where a pixel of the last image is expected in the next one, for example by the homography of the infinite
+/// plane. What it gives may be anything: places that are not finite are taken to stay where they were.
 pub type MotionPrior<'a> = dyn Fn(Vector2<f32>) -> Vector2<f32> + 'a;
 
 /// A segment found again by flow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FlowedSegment {
-    /// Where it is. Its endpoints are those of the old one, moved by the prior and dropped onto the line; they may lie
-    /// outside the image. `sigma_px` is the old one's joined with the scatter of the shifts; `gradient` is measured.
+    /// Where it is. Its endpoints are those of the old one, moved by the prior and dropped onto the line;
+    /// they may lie outside the image. `sigma_px` is the old one's joined with the scatter of the shifts;
+    /// `gradient` is measured.
     pub segment: Segment,
     /// Places that lie in both images.
     pub n_samples: usize,
@@ -175,7 +178,8 @@ impl LineFlow {
         }));
     }
 
-    /// The offset, the same for all places, at which the paths of the coarsest level fit best; the smallest of equals.
+    /// The offset, the same for all places, at which the paths of the coarsest level fit best; the smallest
+    /// of equals.
     fn search_offset(&mut self, paths: &Paths, search_px: f32) -> f32 {
         let step = (1u32 << paths.level) as f32;
         self.aligner.begin_search((search_px / step).round() as usize);
@@ -237,7 +241,8 @@ impl LineFlow {
         let inconsistent = FlowFailure::Inconsistent { n_inliers, n_samples };
         let enough = n_inliers >= config.min_samples.max(2)
             && n_inliers as f32 >= config.min_inlier_share * n_samples as f32;
-        // The shifts were a line over the expected segment; the points found are fitted anew, by total least squares.
+        // The shifts were a line over the expected segment; the points found are fitted anew, by total least
+        // squares.
         let fitted =
             enough.then(|| fit_points(&inliers, expected.direction())).flatten().ok_or(inconsistent)?;
         let onto_line = |pixel: Vector2<f32>| fitted.at(fitted.along(pixel));
@@ -254,7 +259,8 @@ impl LineFlow {
     }
 }
 
-/// The mean change of grey level across `line` at the points of it nearest to `points`, grey levels per pixel.
+/// The mean change of grey level across `line` at the points of it nearest to `points`, grey levels per
+/// pixel.
 fn gradient_across(line: &FittedLine, points: &[Vector2<f32>], image: &FlowPyramid) -> f32 {
     let sampler = Sampler::new(image.image());
     let normal = Vector2::new(-line.direction.y, line.direction.x).cast::<f32>();
@@ -270,7 +276,8 @@ fn readable(pyramid: &FlowPyramid) -> Frame {
     Frame::of_image(pyramid.image().width(), pyramid.image().height()).grown(-PATH_REACH_PX)
 }
 
-/// Places are nearer than this to the image's edge only if they are not looked at, pixels: paths must lie inside.
+/// Places are nearer than this to the image's edge only if they are not looked at, pixels: paths must lie
+/// inside.
 const PATH_REACH_PX: f32 = HALF_PATH as f32 + 1.0;
 
 /// What the prior says, or the pixel itself where that is nothing.

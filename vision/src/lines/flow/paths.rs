@@ -33,8 +33,8 @@ impl Paths<'_> {
         Self::read(&self.next, halved_position(pixel, self.level), self.new_normal, self.level, out);
     }
 
-    /// At the finest level, means of three paths side by side, which are worth their time only there: the coarser ones
-    /// are means already.
+    /// At the finest level, means of three paths side by side, which are worth their time only there: the
+    /// coarser ones are means already.
     fn read(sampler: &Sampler, middle: Vector2<f32>, normal: Vector2<f32>, level: usize, out: &mut [f32]) {
         let start = middle - normal * (0.5 * (out.len() - 1) as f32);
         sampler.clamped_path(start, normal, out);

@@ -1,8 +1,8 @@
 //! Shrinking an image under a Gaussian, which takes the staircase out of slanted edges.
 //!
-//! The Gaussian is separable: first old rows are blended into a new one, then old columns of that. The second step would
-//! read with a stride that no vector instruction likes, so eight new rows are blended before it and stored side by side,
-//! one strip of eight values for each column:
+//! The Gaussian is separable: first old rows are blended into a new one, then old columns of that. The second
+//! step would read with a stride that no vector instruction likes, so eight new rows are blended before it
+//! and stored side by side, one strip of eight values for each column:
 //!
 //! ```text
 //!   old rows          blended rows, with margins           strips                      new pixels
@@ -87,7 +87,8 @@ impl Taps {
             ..Self::default()
         };
         for i in 0..self.n_new {
-            // New pixel `i` lies over old position `i / scale`; its weights are a Gaussian around that, sum one.
+            // New pixel `i` lies over old position `i / scale`; its weights are a Gaussian around that, sum
+            // one.
             let centre = i as f64 / scale;
             let nearest = (centre + 0.5).floor();
             let weight = |j: usize| {
@@ -156,7 +157,8 @@ impl Rescaler {
         self.rows_in_use.iter_mut().for_each(|row| row.y = None);
     }
 
-    /// The old rows that make up new row `i`, blended into one, its margins filled with what lies inside, mirrored.
+    /// The old rows that make up new row `i`, blended into one, its margins filled with what lies inside,
+    /// mirrored.
     fn blend_rows(&mut self, image: &GrayImage, i: usize) {
         let (width, margin) = (image.width() as usize, self.columns.margin);
         let (start, weights) = self.rows.of(i);
