@@ -18,8 +18,8 @@
 //! ```
 //!
 //! `BA` is there although no factor ties `A` and `B`: the Schur complement over `p` fills it. `CA` is not,
-//! since no landmark and no factor has both. Every block is column-major. The gradient is a second buffer, `A
-//! B C | p q`.
+//! since no landmark and no factor has both. Every block is column-major. The gradient is a second buffer,
+//! `A B C | p q`.
 //!
 //! A landmark's *members* are the reduced variables it is tied to, in their order (`p`: `A`, `B`); its
 //! *pairs* say where the product of two members goes in the reduced system (`p`: `BA`). They are listed as

@@ -13,8 +13,8 @@
 //!   S x = b,    S = A − E C⁻¹ Eᵀ,    b = −g_r + E C⁻¹ g.
 //! ```
 //!
-//! `C⁻¹` is never formed: with `C = L Lᵀ` (damped), `F = E L⁻ᵀ` and `y = L⁻¹ g` it is `S = A − F Fᵀ`, `b =
-//! −g_r + F y`, which keeps `S` symmetric to the last bit and costs half. A landmark touches `S` only where
+//! `C⁻¹` is never formed: with `C = L Lᵀ` (damped), `F = E L⁻ᵀ` and `y = L⁻¹ g` it is `S = A − F Fᵀ`,
+//! `b = −g_r + F y`, which keeps `S` symmetric to the last bit and costs half. A landmark touches `S` only where
 //! two of its members meet; with members `a`, `b`, `c` it subtracts
 //!
 //! ```text
