@@ -1,9 +1,9 @@
 //! Factors: the terms of the cost, and the variables each of them touches.
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::SVector;
 
-use crate::manifold::{Manifold, sealed};
-use crate::problem::{NormalEquations, Side, Stores, VariableId, VariableRef, VariableSlot};
+use crate::manifold::Manifold;
+use crate::wiring::{Variables, Wiring};
 
 /// One term `½ ρ(‖r‖²)` of the cost, between one to three variables.
 ///
@@ -41,8 +41,9 @@ pub trait Factor: Send + Sync + 'static {
     /// The residual, an `SVector<f64, R>`.
     type Residual: Residual;
 
-    /// The tuple of variable types, such as `(Pose, Vector3<f64>)`.
-    type Variables: Variables<Self::Residual>;
+    /// The tuple of variable types, such as `(Pose, Vector3<f64>)`. The second bound says no more than the
+    /// first: it is the solver's access to such a tuple.
+    type Variables: Variables<Self::Residual> + Wiring<Self::Residual>;
 
     /// The whitened residual at `values`, or `None` where it is not defined.
     fn residual(&self, values: ValueRefs<'_, Self>) -> Option<Self::Residual>;
@@ -89,137 +90,6 @@ impl<const R: usize> Residual for SVector<f64, R> {
     }
 }
 
-/// A tuple of one to three manifolds that a factor with residual `R` touches.
-///
-/// Implemented here for `(A,)`, `(A, B)` and `(A, B, C)`; the hidden methods are the solver's typed path
-/// from ids to values and from derivatives to the normal equations.
-pub trait Variables<R>: Sized + Clone + Send + Sync + 'static {
-    /// A [`VariableId`] for each member.
-    type Ids: Copy + Send + Sync + 'static;
-    /// A reference to each member's value.
-    type Refs<'a>: Copy;
-    /// A matrix of derivatives for each member.
-    type Jacobians;
-    #[doc(hidden)]
-    type Views<'a>: Copy;
-    #[doc(hidden)]
-    type Slots<'a>: Copy;
-
-    /// Number of members.
-    const ARITY: usize;
-
-    /// References to the members of an owned tuple.
-    fn refs(&self) -> Self::Refs<'_>;
-
-    #[doc(hidden)]
-    fn perturbed(&self, member: usize, axis: usize, step: f64) -> Self;
-    #[doc(hidden)]
-    fn dims() -> [usize; 3];
-    #[doc(hidden)]
-    fn jacobian_entries(jacobians: &Self::Jacobians, member: usize) -> &[f64];
-    #[doc(hidden)]
-    fn variable_refs(ids: Self::Ids, stores: &Stores) -> [Option<VariableRef>; 3];
-    #[doc(hidden)]
-    fn views(stores: &Stores, side: Side) -> Self::Views<'_>;
-    #[doc(hidden)]
-    fn values<'a>(views: Self::Views<'a>, ids: Self::Ids) -> Self::Refs<'a>;
-    #[doc(hidden)]
-    fn slots(stores: &Stores) -> Self::Slots<'_>;
-    #[doc(hidden)]
-    fn accumulate(
-        linearized: &(R, Self::Jacobians),
-        weight: f64,
-        ids: Self::Ids,
-        slots: Self::Slots<'_>,
-        pairs: &[u32; 3],
-        normal: &mut NormalEquations,
-    );
-}
-
-/// Implements [`Variables`] for one arity; `pairs` lists the member pairs in the order of `FactorPlan`.
-macro_rules! impl_variables {
-    ($arity:literal; $($index:tt $T:ident $N:ident),+; $(($pair:tt, $a:tt, $b:tt)),*) => {
-        impl<const R: usize, $($T, const $N: usize),+> Variables<SVector<f64, R>> for ($($T,)+)
-        where
-            $($T: Manifold<Tangent = SVector<f64, $N>>),+
-        {
-            type Ids = ($(VariableId<$T>,)+);
-            type Refs<'a> = ($(&'a $T,)+);
-            type Jacobians = ($(SMatrix<f64, R, $N>,)+);
-            type Views<'a> = ($(&'a [$T],)+);
-            type Slots<'a> = [&'a [VariableSlot]; $arity];
-
-            const ARITY: usize = $arity;
-
-            #[inline]
-            fn refs(&self) -> Self::Refs<'_> {
-                ($(&self.$index,)+)
-            }
-
-            fn perturbed(&self, member: usize, axis: usize, step: f64) -> Self {
-                let mut moved = self.clone();
-                $(if member == $index {
-                    let mut delta = SVector::<f64, $N>::zeros();
-                    delta[axis] = step;
-                    moved.$index = self.$index.retract(&delta);
-                })+
-                moved
-            }
-
-            fn dims() -> [usize; 3] {
-                let mut dims = [0; 3];
-                $(dims[$index] = $N;)+
-                dims
-            }
-
-            fn jacobian_entries(jacobians: &Self::Jacobians, member: usize) -> &[f64] {
-                match member {
-                    $($index => jacobians.$index.as_slice(),)+
-                    _ => &[],
-                }
-            }
-
-            fn variable_refs(ids: Self::Ids, stores: &Stores) -> [Option<VariableRef>; 3] {
-                let mut refs = [None; 3];
-                $(refs[$index] = Some(stores.variable_ref(ids.$index));)+
-                refs
-            }
-
-            fn views(stores: &Stores, side: Side) -> Self::Views<'_> {
-                ($(stores.values::<$T>(side),)+)
-            }
-
-            #[inline(always)]
-            fn values<'a>(views: Self::Views<'a>, ids: Self::Ids) -> Self::Refs<'a> {
-                ($(&views.$index[ids.$index.index()],)+)
-            }
-
-            fn slots(stores: &Stores) -> Self::Slots<'_> {
-                [$(stores.slots::<$T>()),+]
-            }
-
-            #[inline(always)]
-            fn accumulate(
-                (residual, jacobians): &(SVector<f64, R>, Self::Jacobians),
-                weight: f64,
-                ids: Self::Ids,
-                slots: Self::Slots<'_>,
-                pairs: &[u32; 3],
-                normal: &mut NormalEquations,
-            ) {
-                let weighted = ($(jacobians.$index * weight,)+);
-                $(normal.add_diagonal(slots[$index][ids.$index.index()], &weighted.$index, &jacobians.$index, residual);)+
-                $(normal.add_pair(pairs[$pair], &weighted.$a, &jacobians.$b);)*
-                let _ = pairs;
-            }
-        }
-    };
-}
-
-impl_variables!(1; 0 A NA;);
-impl_variables!(2; 0 A NA, 1 B NB; (0, 0, 1));
-impl_variables!(3; 0 A NA, 1 B NB, 2 C NC; (0, 0, 1), (1, 0, 2), (2, 1, 2));
-
 /// A factor of two variables whose second one is held at a given value, leaving one to the first.
 ///
 /// Turns a bundle-adjustment factor of pose and landmark into one of the pose alone.
@@ -250,4 +120,10 @@ where
         let (residual, (d_residual_d_first, _)) = self.factor.linearize((first, &self.second))?;
         Some((residual, (d_residual_d_first,)))
     }
+}
+
+mod sealed {
+    /// Keeps [`super::Residual`] to nalgebra's vectors.
+    pub trait Sealed {}
+    impl<const R: usize> Sealed for nalgebra::SVector<f64, R> {}
 }

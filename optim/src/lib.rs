@@ -68,19 +68,29 @@
 //! ```
 #![warn(missing_docs)]
 
+mod arithmetic;
+mod cost;
 mod factor;
 mod kernel;
+mod layout;
 mod manifold;
+mod normal;
 mod pose_only;
 mod problem;
 mod reduced;
 mod schur;
 mod solver;
 pub mod testing;
+mod variables;
+mod wiring;
 
-pub use factor::{Factor, HoldSecond, Jacobians, Linearized, Residual, ValueRefs, VariableIds, Variables};
+pub use cost::{Cost, INVALID_CHI2};
+pub use factor::{Factor, HoldSecond, Jacobians, Linearized, Residual, ValueRefs, VariableIds};
 pub use kernel::{Kernel, chi2_95};
 pub use manifold::{Manifold, Tangent};
 pub use pose_only::{SingleOptions, SingleReport, UnaryGroup, UnaryTerms, optimize_single};
-pub use problem::{Cost, GroupId, INVALID_CHI2, Problem, VariableId};
-pub use solver::{LinearSolver, SolveReport, SolverOptions, StopReason};
+pub use problem::{GroupId, Problem};
+pub use reduced::LinearSolver;
+pub use solver::{SolveReport, SolverOptions, StopReason};
+pub use variables::VariableId;
+pub use wiring::Variables;

@@ -3,7 +3,7 @@
 use geometry::{Direction, OrthonormalLine, Pose, Similarity};
 use nalgebra::SVector;
 
-use crate::schur::{LandmarkSpan, Schur};
+use crate::schur::Eliminate;
 
 /// A point of a smooth manifold of dimension `DIM`, moved by vectors of its tangent space.
 ///
@@ -24,7 +24,9 @@ pub trait Manifold: Clone + Send + Sync + 'static {
 }
 
 /// A tangent vector of fixed length. Implemented for every `SVector<f64, N>` and for nothing else.
-pub trait Tangent: sealed::Sealed + Copy + Send + Sync + std::fmt::Debug + 'static {
+///
+/// The supertrait seals it: it is how the Schur complement gets at the length as a constant of the compiler.
+pub trait Tangent: Eliminate + Copy + Send + Sync + std::fmt::Debug + 'static {
     /// Length of the vector.
     const DIM: usize;
 
@@ -33,11 +35,6 @@ pub trait Tangent: sealed::Sealed + Copy + Send + Sync + std::fmt::Debug + 'stat
 
     /// The entries in order.
     fn as_slice(&self) -> &[f64];
-
-    #[doc(hidden)]
-    fn eliminate(schur: &mut Schur<'_>, landmarks: LandmarkSpan<'_>);
-    #[doc(hidden)]
-    fn back_substitute(schur: &mut Schur<'_>, landmarks: LandmarkSpan<'_>);
 }
 
 impl<const N: usize> Tangent for SVector<f64, N> {
@@ -51,14 +48,6 @@ impl<const N: usize> Tangent for SVector<f64, N> {
     #[inline]
     fn as_slice(&self) -> &[f64] {
         self.as_slice()
-    }
-
-    fn eliminate(schur: &mut Schur<'_>, landmarks: LandmarkSpan<'_>) {
-        schur.eliminate::<N>(landmarks);
-    }
-
-    fn back_substitute(schur: &mut Schur<'_>, landmarks: LandmarkSpan<'_>) {
-        schur.back_substitute::<N>(landmarks);
     }
 }
 
@@ -117,12 +106,6 @@ impl_manifold!(
     OrthonormalLine,
     4
 );
-
-pub(crate) mod sealed {
-    /// Keeps [`super::Tangent`] to nalgebra's vectors.
-    pub trait Sealed {}
-    impl<const N: usize> Sealed for nalgebra::SVector<f64, N> {}
-}
 
 #[cfg(test)]
 mod tests {

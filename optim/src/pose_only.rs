@@ -1,15 +1,26 @@
-//! One variable against many unary factors: the pose of a frame against a fixed map, for every frame.
+//! One variable against many unary factors: the pose of a frame against a fixed map, for every frame
+//! (motion-only bundle adjustment).
 //!
 //! The same mathematics as [`crate::Problem`], without a graph: each iteration is one pass over the factors
-//! into one small matrix on the stack. Between rounds every observation is judged anew.
+//! into one small matrix on the stack. Between rounds every observation is judged anew:
+//!
+//! ```text
+//!   round 1  robust kernel   all factors   ┐                  ┌ inliers: ‖r‖² ≤ max_chi2
+//!   round 2  robust kernel   inliers       │ Levenberg-       │ outliers: the rest, and those that
+//!   round 3  least squares   inliers       │ Marquardt  ──►   │ cannot be evaluated; they may
+//!   round 4  least squares   inliers       ┘ value            └ come back in any later round
+//! ```
+//!
+//! The kernel finds the basin while wrong matches are still among the inliers; without it the last rounds are
+//! those of plain least squares, whose information matrix is that of the answer.
 
 use nalgebra::{SMatrix, SVector};
 
+use crate::arithmetic::multiply_add;
+use crate::cost::{Cost, INVALID_CHI2};
 use crate::factor::{Factor, Residual};
 use crate::kernel::Kernel;
 use crate::manifold::Manifold;
-use crate::problem::{Cost, INVALID_CHI2};
-use crate::schur::multiply_add;
 use crate::solver::{Lambda, StopReason};
 
 /// Unary factors of one type with their kernel and the verdict on each.
@@ -54,10 +65,10 @@ impl<F: Factor> UnaryGroup<F> {
     }
 }
 
-/// The normal equations of one variable.
-#[doc(hidden)]
+/// The normal equations `H δ = −g` of one variable, and the cost at the value they were built at.
 #[derive(Clone, Copy)]
-pub struct SmallSystem<const N: usize> {
+pub(crate) struct SmallSystem<const N: usize> {
+    /// Only the lower triangle is filled: it is all that Cholesky reads.
     hessian: SMatrix<f64, N, N>,
     gradient: SVector<f64, N>,
     cost: Cost,
@@ -74,29 +85,59 @@ impl<const N: usize> SmallSystem<N> {
             && self.hessian.iter().all(|entry| entry.is_finite())
     }
 
+    /// Adds `w Jᵀ r` and `w Jᵀ J`.
+    #[inline(always)]
+    fn add_factor<const R: usize>(
+        &mut self,
+        residual: &SVector<f64, R>,
+        jacobian: &SMatrix<f64, R, N>,
+        weight: f64,
+    ) {
+        let weighted = jacobian * weight;
+        for column in 0..N {
+            for row in 0..R {
+                self.gradient[column] =
+                    multiply_add(weighted[(row, column)], residual[row], self.gradient[column]);
+            }
+            for other in column..N {
+                for row in 0..R {
+                    let entry = &mut self.hessian[(other, column)];
+                    *entry = multiply_add(weighted[(row, other)], jacobian[(row, column)], *entry);
+                }
+            }
+        }
+    }
+
     /// The damped step and the decrease it promises; `None` when the damped matrix is not positive definite.
     fn step(&self, lambda: f64, min_diagonal: f64) -> Option<(SVector<f64, N>, f64)> {
+        // (H + λ D) δ = −g, with Marquardt's D: the diagonal of H, kept off zero.
         let mut damped = self.hessian;
         let damping = SVector::<f64, N>::from_fn(|i, _| lambda * self.hessian[(i, i)].max(min_diagonal));
         for i in 0..N {
             damped[(i, i)] += damping[i];
         }
         let step = -damped.cholesky()?.solve(&self.gradient);
+        // The quadratic model falls by −gᵀδ − ½ δᵀHδ; with Hδ = −g − λDδ that is ½ δᵀ(λDδ − g).
         let predicted = 0.5 * step.dot(&(damping.component_mul(&step) - self.gradient));
         (step.iter().all(|entry| entry.is_finite()) && predicted.is_finite()).then_some((step, predicted))
     }
 }
 
-/// A group of unary factors of `T`, whatever the factor's type; implemented by [`UnaryGroup`].
-pub trait UnaryTerms<T, const N: usize> {
-    #[doc(hidden)]
+/// What a group gives to the normal equations; nobody outside the crate can name it.
+#[expect(private_interfaces, reason = "sealed: only this crate can call these functions")]
+pub trait Accumulate<T, const N: usize> {
+    /// Adds the inliers at `value`, under the group's kernel or, if not `robust`, under none.
     fn accumulate(&self, value: &T, robust: bool, system: &mut SmallSystem<N>);
+}
 
+/// A group of unary factors of `T`, whatever the factor's type; implemented by [`UnaryGroup`].
+pub trait UnaryTerms<T, const N: usize>: Accumulate<T, N> {
     /// Judges every factor at `value` and returns the number of inliers.
     fn classify(&mut self, value: &T) -> usize;
 }
 
-impl<F, T, const R: usize, const N: usize> UnaryTerms<T, N> for UnaryGroup<F>
+#[expect(private_interfaces, reason = "sealed: only this crate can call these functions")]
+impl<F, T, const R: usize, const N: usize> Accumulate<T, N> for UnaryGroup<F>
 where
     F: Factor<Residual = SVector<f64, R>, Variables = (T,)>,
     T: Manifold<Tangent = SVector<f64, N>>,
@@ -111,31 +152,25 @@ where
                 continue;
             };
             let chi2 = residual.squared_norm();
-            let weighted = jacobian * kernel.weight(chi2);
-            for column in 0..N {
-                for row in 0..R {
-                    sum.gradient[column] =
-                        multiply_add(weighted[(row, column)], residual[row], sum.gradient[column]);
-                }
-                // The lower triangle is all that Cholesky reads.
-                for other in column..N {
-                    for row in 0..R {
-                        let entry = &mut sum.hessian[(other, column)];
-                        *entry = multiply_add(weighted[(row, other)], jacobian[(row, column)], *entry);
-                    }
-                }
-            }
+            sum.add_factor(&residual, &jacobian, kernel.weight(chi2));
             sum.cost.chi2 += chi2;
             sum.cost.robust += 0.5 * kernel.loss(chi2);
             n_valid += 1;
         }
         sum.cost.n_residuals = n_valid * R;
+        // At a constant cost, so that no step gains by pushing observations out of their domain.
         sum.cost.robust += 0.5 * sum.cost.n_invalid as f64 * kernel.loss(INVALID_CHI2);
         system.hessian += sum.hessian;
         system.gradient += sum.gradient;
         system.cost.add(sum.cost);
     }
+}
 
+impl<F, T, const R: usize, const N: usize> UnaryTerms<T, N> for UnaryGroup<F>
+where
+    F: Factor<Residual = SVector<f64, R>, Variables = (T,)>,
+    T: Manifold<Tangent = SVector<f64, N>>,
+{
     fn classify(&mut self, value: &T) -> usize {
         for (factor, inlier) in self.factors.iter().zip(&mut self.inliers) {
             *inlier =
@@ -187,7 +222,8 @@ pub struct SingleReport<T, const N: usize> {
     pub n_inliers: usize,
     /// Cost of the factors that took part in the last round.
     pub cost: Cost,
-    /// `Σ w Jᵀ J` of the last round at its end, the inverse of the covariance of `value` in its tangent space.
+    /// `Σ w Jᵀ J` of the last round at its end, the inverse of the covariance of `value` in its tangent
+    /// space.
     pub information: SMatrix<f64, N, N>,
     /// Linear systems solved, over all rounds.
     pub n_iterations: usize,
@@ -247,8 +283,7 @@ where
     report
 }
 
-/// Levenberg-Marquardt with the present inliers. The system at a trial value is built at once with its cost,
-/// since nearly every step is accepted and then needs it.
+/// Levenberg-Marquardt with the present inliers.
 fn run_round<T, const N: usize>(
     groups: &[&mut dyn UnaryTerms<T, N>],
     robust: bool,
@@ -264,42 +299,56 @@ where
         system
     };
     let mut system = system_at(&report.value);
-    let mut lambda = Lambda::new(options.initial_lambda);
-    let mut stop = StopReason::IterationLimit;
     if !system.is_finite() {
         return StopReason::NonFinite;
     }
     if system.cost.n_residuals == 0 {
         return StopReason::NothingToSolve;
     }
+    let stop = descend(system_at, &mut system, options, report);
+    report.cost = system.cost;
+    report.information = system.hessian;
+    report.information.fill_upper_triangle_with_lower_triangle();
+    stop
+}
+
+/// Takes steps from `report.value`, at which `system` is, for as long as they pay; leaves both at the best
+/// value.
+fn descend<T, const N: usize>(
+    system_at: impl Fn(&T) -> SmallSystem<N>,
+    system: &mut SmallSystem<N>,
+    options: &SingleOptions,
+    report: &mut SingleReport<T, N>,
+) -> StopReason
+where
+    T: Manifold<Tangent = SVector<f64, N>>,
+{
+    let mut lambda = Lambda::new(options.initial_lambda);
     for _ in 0..options.max_iterations {
         report.n_iterations += 1;
         let Some((step, predicted)) = system.step(lambda.value, options.min_diagonal) else {
+            // More damping makes any matrix positive definite.
             lambda.reject();
             continue;
         };
         let negligible = options.min_relative_decrease * system.cost.robust;
         if predicted <= negligible {
-            stop = StopReason::CostConverged;
-            break;
+            return StopReason::CostConverged;
         }
         let value = report.value.retract(&step);
+        // Derivatives at once with the cost, in one pass: nearly every step is accepted and then needs them.
         let trial = system_at(&value);
         let decrease = system.cost.robust - trial.cost.robust;
         if decrease > 0.0 && trial.is_finite() {
             report.value = value;
-            system = trial;
+            *system = trial;
             lambda.accept(decrease / predicted);
             if decrease < negligible {
-                stop = StopReason::CostConverged;
-                break;
+                return StopReason::CostConverged;
             }
         } else {
             lambda.reject();
         }
     }
-    report.cost = system.cost;
-    report.information = system.hessian;
-    report.information.fill_upper_triangle_with_lower_triangle();
-    stop
+    StopReason::IterationLimit
 }

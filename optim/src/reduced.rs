@@ -8,8 +8,7 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Conj, Mat, MatMut, Par, Side};
 
-use crate::problem::Structure;
-use crate::solver::LinearSolver;
+use crate::layout::Layout;
 
 /// Up to this dimension dense factorisation wins whatever the sparsity.
 const DENSE_DIM: usize = 300;
@@ -18,6 +17,18 @@ const DENSE_FILL: f64 = 0.4;
 
 /// One thread: a session's work stays on the session's thread, and sums keep their order.
 const SEQUENTIAL: Par = Par::Seq;
+
+/// How the reduced system is factorised.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LinearSolver {
+    /// Dense for small or densely connected problems, sparse for large and loose ones.
+    #[default]
+    Auto,
+    /// Dense Cholesky.
+    Dense,
+    /// Sparse Cholesky under a minimum-degree ordering.
+    Sparse,
+}
 
 /// The reduced system is not positive definite at this damping.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,30 +41,24 @@ pub(crate) enum ReducedSolver {
 }
 
 impl ReducedSolver {
-    pub(crate) fn new(structure: &Structure, choice: LinearSolver) -> Self {
-        let n = structure.reduced.len();
-        let fill = structure.rows.len() as f64 / (n * n.saturating_sub(1) / 2).max(1) as f64;
+    pub(crate) fn new(layout: &Layout, choice: LinearSolver) -> Self {
         let dense = match choice {
             LinearSolver::Dense => true,
-            LinearSolver::Sparse => structure.n_reduced_dims == 0,
-            LinearSolver::Auto => structure.n_reduced_dims <= DENSE_DIM || fill >= DENSE_FILL,
+            LinearSolver::Sparse => layout.n_reduced_dims == 0,
+            LinearSolver::Auto => layout.n_reduced_dims <= DENSE_DIM || layout.fill() >= DENSE_FILL,
         };
         if dense {
-            Self::Dense(DenseCholesky::new(structure.n_reduced_dims))
+            Self::Dense(DenseCholesky::new(layout.n_reduced_dims))
         } else {
-            Self::Sparse(Box::new(SparseCholesky::new(structure)))
+            Self::Sparse(Box::new(SparseCholesky::new(layout)))
         }
     }
 
-    /// Factorises `system`, laid out as in `structure`.
-    pub(crate) fn factorize(
-        &mut self,
-        structure: &Structure,
-        system: &[f64],
-    ) -> Result<(), NotPositiveDefinite> {
+    /// Factorises `system`, laid out as in `layout`.
+    pub(crate) fn factorize(&mut self, layout: &Layout, system: &[f64]) -> Result<(), NotPositiveDefinite> {
         match self {
-            Self::Dense(dense) => dense.factorize(structure, system),
-            Self::Sparse(sparse) => sparse.factorize(structure, system),
+            Self::Dense(dense) => dense.factorize(layout, system),
+            Self::Sparse(sparse) => sparse.factorize(layout, system),
         }
     }
 
@@ -78,14 +83,14 @@ impl DenseCholesky {
         Self { matrix: Mat::zeros(dim, dim), memory: MemBuffer::new(StackReq::any_of(&[factorize, solve])) }
     }
 
-    fn factorize(&mut self, structure: &Structure, system: &[f64]) -> Result<(), NotPositiveDefinite> {
+    fn factorize(&mut self, layout: &Layout, system: &[f64]) -> Result<(), NotPositiveDefinite> {
         let mut matrix = self.matrix.as_mut();
         matrix.fill(0.0);
-        for (index, column) in structure.reduced.iter().enumerate() {
-            let below = structure.column_starts[index]..structure.column_starts[index + 1];
+        for (index, column) in layout.reduced.iter().enumerate() {
+            let below = layout.below(index);
             let below = below.map(|at| {
-                let row = &structure.reduced[structure.rows[at] as usize];
-                (row.gradient, row.dim, structure.offsets[at] as usize)
+                let row = &layout.reduced[layout.rows[at] as usize];
+                (row.gradient, row.dim, layout.offsets[at] as usize)
             });
             for (row, rows, offset) in
                 std::iter::once((column.gradient, column.dim, column.diagonal)).chain(below)
@@ -121,8 +126,8 @@ pub(crate) struct SparseCholesky {
 }
 
 impl SparseCholesky {
-    fn new(structure: &Structure) -> Self {
-        let pattern = lower_pattern(structure);
+    fn new(layout: &Layout) -> Self {
+        let pattern = lower_pattern(layout);
         let symbolic = factorize_symbolic_cholesky(
             pattern.as_ref(),
             Side::Lower,
@@ -141,16 +146,16 @@ impl SparseCholesky {
         }
     }
 
-    fn factorize(&mut self, structure: &Structure, system: &[f64]) -> Result<(), NotPositiveDefinite> {
+    fn factorize(&mut self, layout: &Layout, system: &[f64]) -> Result<(), NotPositiveDefinite> {
         let mut filled = 0;
-        for (index, column) in structure.reduced.iter().enumerate() {
+        for (index, column) in layout.reduced.iter().enumerate() {
             for c in 0..column.dim {
                 let diagonal = &system[column.diagonal + c * column.dim..][c..column.dim];
                 self.values[filled..filled + diagonal.len()].copy_from_slice(diagonal);
                 filled += diagonal.len();
-                for at in structure.column_starts[index]..structure.column_starts[index + 1] {
-                    let rows = structure.reduced[structure.rows[at] as usize].dim;
-                    let block = &system[structure.offsets[at] as usize + c * rows..][..rows];
+                for at in layout.below(index) {
+                    let rows = layout.reduced[layout.rows[at] as usize].dim;
+                    let block = &system[layout.offsets[at] as usize + c * rows..][..rows];
                     self.values[filled..filled + rows].copy_from_slice(block);
                     filled += rows;
                 }
@@ -181,16 +186,16 @@ impl SparseCholesky {
 }
 
 /// The scalar pattern of the lower triangle, column by column.
-fn lower_pattern(structure: &Structure) -> SymbolicSparseColMat<usize> {
-    let n = structure.n_reduced_dims;
+fn lower_pattern(layout: &Layout) -> SymbolicSparseColMat<usize> {
+    let n = layout.n_reduced_dims;
     let mut column_ptr = Vec::with_capacity(n + 1);
     let mut row_idx = Vec::new();
     column_ptr.push(0);
-    for (index, column) in structure.reduced.iter().enumerate() {
+    for (index, column) in layout.reduced.iter().enumerate() {
         for c in 0..column.dim {
             row_idx.extend(column.gradient + c..column.gradient + column.dim);
-            for &row in &structure.rows[structure.column_starts[index]..structure.column_starts[index + 1]] {
-                let row = &structure.reduced[row as usize];
+            for &row in &layout.rows[layout.below(index)] {
+                let row = &layout.reduced[row as usize];
                 row_idx.extend(row.gradient..row.gradient + row.dim);
             }
             column_ptr.push(row_idx.len());

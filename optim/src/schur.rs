@@ -1,12 +1,38 @@
 //! The Schur complement: landmarks are eliminated one by one, each with matrices of fixed size.
 //!
-//! With `H = [A E; Eᵀ C]`, `C` block-diagonal and damped, each landmark's block is factored `C = L Lᵀ` and
-//! `F = E L⁻ᵀ`, `y = L⁻¹ g` give the reduced system `S = A − F Fᵀ`, `b = −g_r + F y`. Landmarks come in the
-//! order of their ids, so the sums are the same on every run.
+//! ```text
+//!   reduced    [ A   E ] [ x ]      [ g_r ]       A: poses with poses         (sparse blocks)
+//!   landmarks  [ Eᵀ  C ] [ δ ]  = − [ g   ]       C: one small block for each landmark
+//!                                                 E: poses with landmarks
+//! ```
+//!
+//! No factor has two landmarks, so `C` is block-diagonal, and the second row gives each landmark's step by
+//! itself: `δ = −C⁻¹ (g + Eᵀ x)`. Put into the first row, that leaves a system of the poses alone,
+//!
+//! ```text
+//!   S x = b,    S = A − E C⁻¹ Eᵀ,    b = −g_r + E C⁻¹ g.
+//! ```
+//!
+//! `C⁻¹` is never formed: with `C = L Lᵀ` (damped), `F = E L⁻ᵀ` and `y = L⁻¹ g` it is `S = A − F Fᵀ`,
+//! `b = −g_r + F y`, which keeps `S` symmetric to the last bit and costs half. A landmark touches `S` only where
+//! two of its members meet; with members `a`, `b`, `c` it subtracts
+//!
+//! ```text
+//!          a       b       c
+//!   a  [ Fa Faᵀ                 ]      the diagonal blocks at ReducedVariable::diagonal,
+//!   b  [ Fb Faᵀ  Fb Fbᵀ         ]      those below at Layout::pairs, in the order
+//!   c  [ Fc Faᵀ  Fc Fbᵀ  Fc Fcᵀ ]      (a,b) (a,c) (b,c)
+//! ```
+//!
+//! This is where bundle adjustment spends its time: `n (n + 1) / 2` products for a landmark of `n` members.
+//! Blocks of 6 rows (poses) therefore have a path of their own, whose loops the compiler unrolls.
+//!
+//! Landmarks come in the order of their ids, so the sums are the same on every run.
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::problem::{Landmark, Member, ReducedVariable};
+use crate::arithmetic::multiply_add;
+use crate::layout::{Landmark, Member, ReducedVariable};
 
 /// A landmark's pivot, relative to its own diagonal entry, below which the landmark is held in this
 /// iteration: for a point that is a parallax of about 0.0006 degrees.
@@ -30,31 +56,50 @@ impl Damping {
 }
 
 /// The landmarks of one store, with the index of the first among all of them.
-#[doc(hidden)]
 #[derive(Clone, Copy)]
-pub struct LandmarkSpan<'a> {
-    pub(crate) first: usize,
-    pub(crate) landmarks: &'a [Landmark],
+pub(crate) struct LandmarkSpan<'a> {
+    pub first: usize,
+    pub landmarks: &'a [Landmark],
 }
 
 /// The linear system of one iteration, being reduced or solved.
-#[doc(hidden)]
-pub struct Schur<'a> {
+pub(crate) struct Schur<'a> {
     /// Blocks and gradient of the normal equations.
-    pub(crate) blocks: &'a [f64],
-    pub(crate) gradient: &'a [f64],
-    pub(crate) reduced: &'a [ReducedVariable],
-    pub(crate) members: &'a [Member],
-    pub(crate) pairs: &'a [u32],
-    pub(crate) damping: Damping,
+    pub blocks: &'a [f64],
+    pub gradient: &'a [f64],
+    pub reduced: &'a [ReducedVariable],
+    pub members: &'a [Member],
+    pub pairs: &'a [u32],
+    pub damping: Damping,
     /// The reduced system, laid out as the first part of `blocks`.
-    pub(crate) system: &'a mut [f64],
+    pub system: &'a mut [f64],
     /// First the right-hand side of the reduced system, then the whole step.
-    pub(crate) step: &'a mut [f64],
+    pub step: &'a mut [f64],
     /// Room for `F` of the landmark with the most members.
-    pub(crate) scratch: &'a mut [f64],
+    pub scratch: &'a mut [f64],
     /// Which landmarks could not be eliminated and stay where they are.
-    pub(crate) held: &'a mut [bool],
+    pub held: &'a mut [bool],
+}
+
+/// From a tangent vector's type to the elimination of landmarks of its length. Implemented for every
+/// `SVector<f64, N>`; nobody outside the crate can name it.
+#[expect(private_interfaces, reason = "sealed: only this crate can call these functions")]
+pub trait Eliminate {
+    /// See [`Schur::eliminate`].
+    fn eliminate(schur: &mut Schur<'_>, landmarks: LandmarkSpan<'_>);
+    /// See [`Schur::back_substitute`].
+    fn back_substitute(schur: &mut Schur<'_>, landmarks: LandmarkSpan<'_>);
+}
+
+#[expect(private_interfaces, reason = "sealed: only this crate can call these functions")]
+impl<const N: usize> Eliminate for SVector<f64, N> {
+    fn eliminate(schur: &mut Schur<'_>, landmarks: LandmarkSpan<'_>) {
+        schur.eliminate::<N>(landmarks);
+    }
+
+    fn back_substitute(schur: &mut Schur<'_>, landmarks: LandmarkSpan<'_>) {
+        schur.back_substitute::<N>(landmarks);
+    }
 }
 
 impl Schur<'_> {
@@ -73,11 +118,15 @@ impl Schur<'_> {
     /// Subtracts what landmarks of dimension `N` contribute to the reduced system.
     pub(crate) fn eliminate<const N: usize>(&mut self, span: LandmarkSpan<'_>) {
         for (index, landmark) in span.landmarks.iter().enumerate() {
+            // A landmark that its observations do not fix (no parallax) is held where it is: as if it were
+            // known.
             let lower = self.factor::<N>(landmark);
             self.held[span.first + index] = lower.is_none();
             let Some(lower) = lower else { continue };
+            // y = L⁻¹ g
             let y =
                 solve_lower(&lower, &SVector::from_column_slice(&self.gradient[landmark.gradient..][..N]));
+            // F = E L⁻ᵀ, member by member into the scratch memory; b += F y on the way.
             let members = &self.members[landmark.members.clone()];
             let mut filled = 0;
             for member in members {
@@ -93,11 +142,13 @@ impl Schur<'_> {
                 }
                 filled += size;
             }
+            // S −= F Fᵀ
             self.subtract_products::<N>(members, &self.pairs[landmark.pairs..]);
         }
     }
 
-    /// `S −= F Fᵀ` over all pairs of a landmark's members.
+    /// `S −= F Fᵀ` over all pairs of a landmark's members, whose `F` stand one behind the other in the
+    /// scratch memory.
     fn subtract_products<const N: usize>(&mut self, members: &[Member], pairs: &[u32]) {
         let mut pairs = pairs.iter();
         let mut a_at = 0;
@@ -122,6 +173,7 @@ impl Schur<'_> {
         for (index, landmark) in span.landmarks.iter().enumerate() {
             let factor = if self.held[span.first + index] { None } else { self.factor::<N>(landmark) };
             let mut sum = SVector::<f64, N>::zeros();
+            // Factoring again is cheaper than to have kept `L` of every landmark.
             if let Some(lower) = factor {
                 sum = -SVector::from_column_slice(&self.gradient[landmark.gradient..][..N]);
                 for member in &self.members[landmark.members.clone()] {
@@ -136,6 +188,7 @@ impl Schur<'_> {
                         }
                     }
                 }
+                // C⁻¹ = L⁻ᵀ L⁻¹
                 sum = solve_lower_transposed(&lower, &solve_lower(&lower, &sum));
             }
             self.step[landmark.gradient..][..N].copy_from_slice(sum.as_slice());
@@ -147,6 +200,8 @@ impl Schur<'_> {
     fn factor<const N: usize>(&self, landmark: &Landmark) -> Option<SMatrix<f64, N, N>> {
         let mut c = SMatrix::<f64, N, N>::from_column_slice(&self.blocks[landmark.diagonal..][..N * N]);
         for k in 0..N {
+            // What is left of the damped diagonal after the columns before; if hardly anything, the landmark
+            // is not determined in this direction, and dividing by it would send it anywhere.
             let diagonal = c[(k, k)] + self.damping.of(c[(k, k)]);
             let mut pivot = diagonal;
             for j in 0..k {
@@ -293,10 +348,4 @@ fn subtract_fixed<const R: usize, const C: usize, const N: usize>(block: &mut [f
         }
         *column = sum;
     }
-}
-
-/// `a b + c`, fused where the processor can: elsewhere `mul_add` would be a slow library call.
-#[inline(always)]
-pub(crate) fn multiply_add(a: f64, b: f64, c: f64) -> f64 {
-    if cfg!(target_feature = "fma") { a.mul_add(b, c) } else { a * b + c }
 }

@@ -1,19 +1,10 @@
 //! Levenberg-Marquardt.
 
-use crate::problem::{Cost, Problem, Side};
+use crate::cost::Cost;
+use crate::problem::Problem;
+use crate::reduced::LinearSolver;
 use crate::schur::Damping;
-
-/// How the reduced system is factorised.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum LinearSolver {
-    /// Dense for small or densely connected problems, sparse for large and loose ones.
-    #[default]
-    Auto,
-    /// Dense Cholesky.
-    Dense,
-    /// Sparse Cholesky under a minimum-degree ordering.
-    Sparse,
-}
+use crate::variables::Side;
 
 /// When and how [`Problem::solve`] iterates.
 #[derive(Clone, Copy, Debug, PartialEq)]

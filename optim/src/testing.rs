@@ -1,12 +1,13 @@
 //! Checks for factors and manifolds, to be called from tests.
 
-use crate::factor::{Factor, Residual, Variables};
+use crate::factor::{Factor, Residual};
 use crate::manifold::{Manifold, Tangent};
+use crate::wiring::{Variables, Wiring};
 
 /// Asserts that a factor's derivatives agree with central differences of its residual at `values`.
 ///
-/// `step` is the step in each tangent direction (1e-6 is usual); the largest deviation of a member's matrix may
-/// be `relative_error` times its largest entry, or times one if that is smaller (1e-5 is usual).
+/// `step` is the step in each tangent direction (1e-6 is usual); the largest deviation of a member's matrix
+/// may be `relative_error` times its largest entry, or times one if that is smaller (1e-5 is usual).
 ///
 /// # Panics
 /// When they do not agree, when `linearize` gives another residual than `residual`, when an entry is not

@@ -1,4 +1,4 @@
-//! Keypoints sorted into cells, so that those near a place are found without looking at all.
+//! Keypoints sorted into cells (a spatial hash), so that those near a place are found without looking at all.
 
 use std::ops::RangeInclusive;
 

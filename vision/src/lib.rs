@@ -1,30 +1,67 @@
-//! The front end of the SLAM system, point part: from the bytes a client sent to described, matchable keypoints.
+//! The front end of visual SLAM: from the bytes that a client sent to features that can be matched and
+//! tracked.
 //!
-//! - [`GrayImage`]: what everything here works on; [`decode::decode_gray`] makes one from PNG, JPEG or raw pixels
-//!   sent by somebody we do not trust.
-//! - [`OrbExtractor`]: scale pyramid, FAST corners spread over the image, orientation, steered BRIEF; gives [`Features`].
-//! - [`KeypointGrid`] and [`matching`]: windowed and exhaustive matching; [`place::PlaceIndex`]: which stored image
-//!   shows the same place.
-//! - [`vanishing`]: vanishing points of segments, found and followed, and the rotation they give.
+//! ```text
+//!                    ┌─► orb ────► Features ──► matching, KeypointGrid ──► matches
+//!   bytes ─► decode ─┤              └─────────► place ──────────────────► images of the same place
+//!            (grey)  └─► lines ──► TrackedLines ──► vanishing ──────────► vanishing points, rotation
+//! ```
 //!
-//! The crate knows nothing of cameras, maps or files: coordinates are pixels of the image as given (distorted, if the
-//! lens distorts), pixel centres at integers, the origin at the centre of the top-left pixel, x right, y down.
-//! Everything is deterministic and single-threaded.
+//! * [`GrayImage`]: what everything here works on; [`decode::decode_gray`] makes one from PNG, JPEG or raw
+//!   pixels sent by somebody we do not trust.
+//! * Points: [`OrbExtractor`] gives [`Features`] (keypoints and descriptors); [`matching`] compares them in a
+//!   list, in a window ([`KeypointGrid`]) or all against all.
+//! * Lines: [`lines::detector()`] finds segments (edge drawing or LSD), [`lines::LineDescriber`] describes
+//!   them (LBD), [`lines::LineFlow`] follows one by optical flow, and [`lines::LineTracker`] does all of it
+//!   from image to image.
+//! * [`vanishing`]: vanishing points of segments (J-Linkage), found and followed, and the rotation they give.
+//! * [`place::PlaceIndex`]: which stored images show the same place, for loop closure and relocalization.
+//!
+//! The crate knows nothing of cameras, maps or files: coordinates are pixels of the image as given
+//! (distorted, if the lens distorts), pixel centres at integers, the origin at the centre of the top-left
+//! pixel, x right, y down. Everything is single-threaded and deterministic: the same input gives the same
+//! bytes.
+//!
+//! # Two images in miniature
 //!
 //! ```
+//! use vision::lines::{self, LineDetectorConfig, LineTracker, LineTrackerConfig};
 //! use vision::{GrayImage, OrbConfig, OrbExtractor, matching};
 //!
-//! // A checkerboard-like texture, and the same texture moved by (4, 2) pixels.
-//! let texture = |dx: u32, dy: u32| {
-//!     let hash = |x: u32, y: u32| ((x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77)) >> 13) as u8;
-//!     let data = (0..240u32).flat_map(|y| (0..320u32).map(move |x| hash((x + dx) / 9, (y + dy) / 9))).collect();
-//!     GrayImage::from_raw(320, 240, data).unwrap()
+//! // Bright and dark tiles of 40 px, on them a finer texture; then the same moved by (4, 2) pixels.
+//! let view = |dx: u32, dy: u32| {
+//!     let hash = |x: u32, y: u32| (x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77)) >> 13;
+//!     GrayImage::from_fn(320, 240, |x, y| {
+//!         let (x, y) = (x + dx, y + dy);
+//!         let tile = if hash(x / 40, y / 40) % 2 == 0 { 40 } else { 180 };
+//!         (tile + hash(x / 8, y / 8) % 40) as u8
+//!     })
 //! };
-//! let mut extractor = OrbExtractor::new(OrbConfig::default()).unwrap();
-//! let first = extractor.extract(&texture(0, 0));
-//! let second = extractor.extract(&texture(4, 2));
-//! let matches = matching::match_brute_force(&first, &second, &matching::MatchConfig::default());
-//! assert!(matches.len() > 100);
+//! let (first, second) = (view(0, 0), view(4, 2));
+//!
+//! // Points: extract, describe, match.
+//! let mut extractor = OrbExtractor::new(OrbConfig::default())?;
+//! let (a, b) = (extractor.extract(&first), extractor.extract(&second));
+//! let matches = matching::match_brute_force(&a, &b, &matching::MatchConfig::default());
+//! let n_right = matches.iter().filter(|found| {
+//!     let (p, q) = (a.keypoints[found.first_idx as usize], b.keypoints[found.second_idx as usize]);
+//!     (p.x - q.x - 4.0).abs() < 1.5 && (p.y - q.y - 2.0).abs() < 1.5
+//! });
+//! assert!(n_right.count() > 100);
+//!
+//! // Lines: the same track is the same edge.
+//! let mut detector = lines::detector(LineDetectorConfig::default())?;
+//! let mut tracker = LineTracker::new(LineTrackerConfig::default())?;
+//! let before = tracker.track(&first, detector.detect(&first), None);
+//! let after = tracker.track(&second, detector.detect(&second), None);
+//! let moved = after.lines.iter().filter_map(|line| {
+//!     let old = before.lines.iter().find(|old| old.track == line.track)?;
+//!     Some(line.segment.normal().dot(&(line.segment.midpoint() - old.segment.midpoint())))
+//! });
+//! let moved: Vec<f32> = moved.collect();
+//! // Across itself a horizontal edge moved by 2 pixels, an upright one by 4.
+//! assert!(moved.len() >= 5 && moved.iter().all(|px| (px.abs() - 2.0).abs() < 0.5 || (px.abs() - 4.0).abs() < 0.5));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 pub mod decode;

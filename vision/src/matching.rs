@@ -1,4 +1,5 @@
-//! Matching descriptors: in a list, in a window, or all against all.
+//! Matching descriptors: in a list, in a window (guided matching), or all against all (brute force), by
+//! Hamming distance and the ratio test [Lowe 2004].
 
 use crate::{Descriptor, Features, KeypointGrid};
 

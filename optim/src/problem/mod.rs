@@ -1,31 +1,28 @@
 //! The factor graph: variables, factors, and the linear system they make.
 
 mod group;
-mod normal;
-mod store;
 mod structure;
 
 use nalgebra::{DMatrix, DVector};
 
-pub use group::{Cost, GroupId, INVALID_CHI2};
-pub use normal::NormalEquations;
-pub use store::{Side, Stores, VariableId, VariableRef, VariableSlot};
-pub(crate) use structure::{Landmark, Member, ReducedVariable, Structure};
+pub use group::GroupId;
 
+use crate::cost::Cost;
 use crate::factor::{Factor, VariableIds};
 use crate::kernel::Kernel;
+use crate::layout::Layout;
 use crate::manifold::Manifold;
-use crate::reduced::ReducedSolver;
+use crate::normal::NormalEquations;
+use crate::reduced::{LinearSolver, ReducedSolver};
 use crate::schur::{Damping, LandmarkSpan, Schur};
-use crate::solver::LinearSolver;
+use crate::variables::{Role, Side, Stores, VariableId, VariableRef};
 use group::{Group, TypedGroup};
-use store::Role;
 
 /// A nonlinear least-squares problem `min ½ Σ ρ(‖r‖²)` over manifolds.
 ///
 /// Variables are either *reduced* ([`Problem::add_variable`]: poses, similarities, directions) or *landmarks*
-/// ([`Problem::add_landmark`]: points, lines). Landmarks are eliminated before the linear system is solved, so
-/// a factor may touch any reduced variables but at most one landmark.
+/// ([`Problem::add_landmark`]: points, lines). Landmarks are eliminated before the linear system is solved,
+/// so a factor may touch any reduced variables but at most one landmark.
 ///
 /// Results depend on the order in which variables and factors are added and on nothing else: add them in the
 /// order of their ids. The linearisation is quickest when factors come landmark by landmark.
@@ -153,8 +150,8 @@ impl Problem {
     /// The covariance of a free reduced variable, in its tangent space, given that everything else is
     /// estimated too: the block of the inverse of the undamped reduced Hessian at the current values.
     ///
-    /// `None` when the variable is fixed or a landmark, or when the problem leaves it undetermined (such as by
-    /// an unfixed gauge).
+    /// `None` when the variable is fixed or a landmark, or when the problem leaves it undetermined (such as
+    /// by an unfixed gauge).
     pub fn marginal_covariance<T: Manifold>(&mut self, id: VariableId<T>) -> Option<DMatrix<f64>> {
         let variable = self.stores.variable_ref(id);
         let store = self.stores.store(variable.store as usize);
@@ -168,7 +165,7 @@ impl Problem {
         let system = self.system.as_mut()?;
         let mut covariance = DMatrix::zeros(T::DIM, T::DIM);
         for axis in 0..T::DIM {
-            let mut column = vec![0.0; system.structure.n_reduced_dims];
+            let mut column = vec![0.0; system.layout.n_reduced_dims];
             column[first + axis] = 1.0;
             system.solver.solve(&mut column);
             covariance.column_mut(axis).copy_from_slice(&column[first..first + T::DIM]);
@@ -177,13 +174,13 @@ impl Problem {
     }
 
     /// The whole undamped Hessian `Σ w Jᵀ J` and gradient `Σ w Jᵀ r` of the free variables at the current
-    /// values: reduced ones first, then landmarks, each in the order in which its type appeared and then of its
-    /// id. For small problems, to be examined.
+    /// values: reduced ones first, then landmarks, each in the order in which its type appeared and then of
+    /// its id. For small problems, to be examined.
     pub fn dense_normal_equations(&mut self) -> (DMatrix<f64>, DVector<f64>) {
         self.ensure_system(LinearSolver::Auto);
         self.linearize();
-        let LinearSystem { structure, normal, .. } = self.system.as_ref().expect("ensured above");
-        let mut hessian = DMatrix::zeros(structure.n_gradient, structure.n_gradient);
+        let LinearSystem { layout, normal, .. } = self.system.as_ref().expect("ensured above");
+        let mut hessian = DMatrix::zeros(layout.n_gradient, layout.n_gradient);
         let mut put = |row: usize, column: usize, rows: usize, columns: usize, offset: usize| {
             for c in 0..columns {
                 for r in 0..rows {
@@ -193,18 +190,18 @@ impl Problem {
                 }
             }
         };
-        for (index, column) in structure.reduced.iter().enumerate() {
+        for (index, column) in layout.reduced.iter().enumerate() {
             put(column.gradient, column.gradient, column.dim, column.dim, column.diagonal);
-            for at in structure.column_starts[index]..structure.column_starts[index + 1] {
-                let row = structure.reduced[structure.rows[at] as usize];
-                put(row.gradient, column.gradient, row.dim, column.dim, structure.offsets[at] as usize);
+            for at in layout.below(index) {
+                let row = layout.reduced[layout.rows[at] as usize];
+                put(row.gradient, column.gradient, row.dim, column.dim, layout.offsets[at] as usize);
             }
         }
-        for (store, span) in self.stores.iter().zip(&structure.spans) {
-            for landmark in &structure.landmarks[span.clone()] {
+        for (store, span) in self.stores.iter().zip(&layout.spans) {
+            for landmark in &layout.landmarks[span.clone()] {
                 put(landmark.gradient, landmark.gradient, store.dim(), store.dim(), landmark.diagonal);
-                for member in &structure.members[landmark.members.clone()] {
-                    let row = structure.reduced[member.reduced as usize];
+                for member in &layout.members[landmark.members.clone()] {
+                    let row = layout.reduced[member.reduced as usize];
                     put(row.gradient, landmark.gradient, row.dim, store.dim(), member.cross as usize);
                 }
             }
@@ -233,9 +230,9 @@ impl Problem {
     }
 }
 
-/// The solver's side of a problem: structure and memory of the linear system.
+/// The solver's side of a problem: layout and memory of the linear system.
 struct LinearSystem {
-    structure: Structure,
+    layout: Layout,
     normal: NormalEquations,
     choice: LinearSolver,
     solver: ReducedSolver,
@@ -262,27 +259,24 @@ impl Problem {
         if self.system.as_ref().is_some_and(|system| system.choice == choice) {
             return;
         }
-        let structure = Structure::build(&mut self.stores, &mut self.groups);
+        let layout = Layout::build(&mut self.stores, &mut self.groups);
         let mut normal = NormalEquations::default();
-        normal.resize(structure.n_blocks, structure.n_gradient);
+        normal.resize(layout.n_blocks, layout.n_gradient);
         self.system = Some(LinearSystem {
-            solver: ReducedSolver::new(&structure, choice),
+            solver: ReducedSolver::new(&layout, choice),
             choice,
-            reduced: vec![0.0; structure.n_reduced_blocks],
-            step: vec![0.0; structure.n_gradient],
-            scratch: vec![
-                0.0;
-                structure.max_members * structure.max_reduced_dim * structure.max_landmark_dim
-            ],
-            held: vec![false; structure.landmarks.len()],
+            reduced: vec![0.0; layout.n_reduced_blocks],
+            step: vec![0.0; layout.n_gradient],
+            scratch: vec![0.0; layout.max_members * layout.max_reduced_dim * layout.max_landmark_dim],
+            held: vec![false; layout.landmarks.len()],
             normal,
-            structure,
+            layout,
         });
     }
 
     /// Number of free dimensions.
     pub(crate) fn n_free_dims(&self) -> usize {
-        self.system.as_ref().map_or(0, |system| system.structure.n_gradient)
+        self.system.as_ref().map_or(0, |system| system.layout.n_gradient)
     }
 
     pub(crate) fn cost_at(&self, side: Side) -> Cost {
@@ -314,13 +308,13 @@ impl Problem {
     /// Reduces and factorises the damped system.
     fn factorize(&mut self, damping: Damping) -> Result<(), crate::reduced::NotPositiveDefinite> {
         let system = self.system.as_mut().expect("the system is laid out before it is factorised");
-        let (mut schur, structure, solver) = system.split(damping);
+        let (mut schur, layout, solver) = system.split(damping);
         schur.begin();
-        for (store, span) in self.stores.iter().zip(&structure.spans) {
-            let landmarks = LandmarkSpan { first: span.start, landmarks: &structure.landmarks[span.clone()] };
+        for (store, span) in self.stores.iter().zip(&layout.spans) {
+            let landmarks = LandmarkSpan { first: span.start, landmarks: &layout.landmarks[span.clone()] };
             store.eliminate(&mut schur, landmarks);
         }
-        solver.factorize(structure, schur.system)
+        solver.factorize(layout, schur.system)
     }
 
     /// Solves the damped system and moves the trial values by the step; `None` when the system is not
@@ -328,11 +322,11 @@ impl Problem {
     pub(crate) fn try_step(&mut self, damping: Damping) -> Option<StepInfo> {
         self.factorize(damping).ok()?;
         let system = self.system.as_mut()?;
-        let n_reduced = system.structure.n_reduced_dims;
+        let n_reduced = system.layout.n_reduced_dims;
         system.solver.solve(&mut system.step[..n_reduced]);
-        let (mut schur, structure, _) = system.split(damping);
-        for (store, span) in self.stores.iter().zip(&structure.spans) {
-            let landmarks = LandmarkSpan { first: span.start, landmarks: &structure.landmarks[span.clone()] };
+        let (mut schur, layout, _) = system.split(damping);
+        for (store, span) in self.stores.iter().zip(&layout.spans) {
+            let landmarks = LandmarkSpan { first: span.start, landmarks: &layout.landmarks[span.clone()] };
             store.back_substitute(&mut schur, landmarks);
         }
         let info = StepInfo {
@@ -350,20 +344,20 @@ impl Problem {
 }
 
 impl LinearSystem {
-    fn split(&mut self, damping: Damping) -> (Schur<'_>, &Structure, &mut ReducedSolver) {
+    fn split(&mut self, damping: Damping) -> (Schur<'_>, &Layout, &mut ReducedSolver) {
         let schur = Schur {
             blocks: &self.normal.blocks,
             gradient: &self.normal.gradient,
-            reduced: &self.structure.reduced,
-            members: &self.structure.members,
-            pairs: &self.structure.pairs,
+            reduced: &self.layout.reduced,
+            members: &self.layout.members,
+            pairs: &self.layout.pairs,
             damping,
             system: &mut self.reduced,
             step: &mut self.step,
             scratch: &mut self.scratch,
             held: &mut self.held,
         };
-        (schur, &self.structure, &mut self.solver)
+        (schur, &self.layout, &mut self.solver)
     }
 
     /// `½ δᵀ (λ D δ − g)`, what the quadratic model gains by the step `δ`.
@@ -376,9 +370,9 @@ impl LinearSystem {
             });
             entries.sum()
         };
-        let mut sum: f64 = self.structure.reduced.iter().map(|v| of(v.gradient, v.diagonal, v.dim)).sum();
-        for (store, span) in stores.iter().zip(&self.structure.spans) {
-            let landmarks = &self.structure.landmarks[span.clone()];
+        let mut sum: f64 = self.layout.reduced.iter().map(|v| of(v.gradient, v.diagonal, v.dim)).sum();
+        for (store, span) in stores.iter().zip(&self.layout.spans) {
+            let landmarks = &self.layout.landmarks[span.clone()];
             sum += landmarks.iter().map(|l| of(l.gradient, l.diagonal, store.dim())).sum::<f64>();
         }
         sum

@@ -1,71 +1,24 @@
-//! Where everything lies: the order of variables, the sparsity of the normal equations, their layout.
+//! Builds the [`Layout`]: the order of the unknowns, the sparsity of the reduced system, and where each block
+//! lies.
 //!
-//! Built once per set of variables and factors, in an order fixed by that in which they were added, so that
+//! 1. Free variables are numbered: reduced ones, then landmarks; their dimensions give the gradient's
+//!    offsets.
+//! 2. The factors are read once: those between a landmark and a reduced variable give the landmark's members,
+//!    those between two reduced variables the edges of the reduced system.
+//! 3. The reduced system is laid out column by column. Below the diagonal of a column stand the variables
+//!    that share a factor with it, and those that share a landmark with it: eliminating the landmark fills
+//!    them in.
+//! 4. Behind it come the landmarks' diagonal blocks, then their blocks with their members.
+//! 5. Variables and factors are told their offsets, so that the linearisation looks nothing up.
+//!
+//! Unknowns are ordered by the type of variable, then by that in which they were added, so that
 //! the same problem always sums in the same order and gives the same bytes.
 
-use std::ops::Range;
-
-use super::group::{FactorPairs, Group};
-use super::normal::TRANSPOSED;
-use super::store::{NO_SLOT, Role, Stores, VariableRef, VariableSlot};
-
-/// A free variable of the reduced system.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ReducedVariable {
-    pub dim: usize,
-    /// Offset in the gradient.
-    pub gradient: usize,
-    /// Offset of the diagonal block, `dim x dim`.
-    pub diagonal: usize,
-}
-
-/// A free landmark, to be eliminated.
-#[derive(Clone, Debug)]
-pub(crate) struct Landmark {
-    /// Offset in the gradient.
-    pub gradient: usize,
-    /// Offset of the diagonal block.
-    pub diagonal: usize,
-    /// Range in [`Structure::members`].
-    pub members: Range<usize>,
-    /// Start in [`Structure::pairs`] of the blocks of member pairs `(a, b)`, `a < b`, `b` running fastest.
-    pub pairs: usize,
-}
-
-/// A reduced variable that a landmark is tied to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Member {
-    /// Index in [`Structure::reduced`].
-    pub reduced: u32,
-    /// Offset of the block (reduced x landmark).
-    pub cross: u32,
-}
-
-/// Order, sparsity and layout of the normal equations; offsets are into `NormalEquations`.
-#[derive(Default)]
-pub(crate) struct Structure {
-    pub reduced: Vec<ReducedVariable>,
-    pub landmarks: Vec<Landmark>,
-    /// Range of `landmarks` per store.
-    pub spans: Vec<Range<usize>>,
-    pub members: Vec<Member>,
-    pub pairs: Vec<u32>,
-    /// Blocks strictly below the diagonal, by block columns: rows and offsets of column `c` are at
-    /// `column_starts[c]..column_starts[c + 1]`; a block is `dim(row) x dim(column)`.
-    pub column_starts: Vec<usize>,
-    pub rows: Vec<u32>,
-    pub offsets: Vec<u32>,
-    /// Scalar dimension of the reduced system.
-    pub n_reduced_dims: usize,
-    /// Length of the part of the blocks that belongs to the reduced system.
-    pub n_reduced_blocks: usize,
-    pub n_blocks: usize,
-    pub n_gradient: usize,
-    /// The most members any landmark has.
-    pub max_members: usize,
-    pub max_reduced_dim: usize,
-    pub max_landmark_dim: usize,
-}
+use super::group::Group;
+use crate::layout::{
+    FactorPairs, Landmark, Layout, Member, NO_SLOT, ReducedVariable, TRANSPOSED, VariableSlot,
+};
+use crate::variables::{Role, Stores, VariableRef};
 
 /// What a variable is in the linear system.
 #[derive(Clone, Copy)]
@@ -75,16 +28,16 @@ enum Place {
     Landmark(u32),
 }
 
-impl Structure {
+impl Layout {
     /// Orders the variables, tells them their slots, and tells the factors their blocks.
     pub(crate) fn build(stores: &mut Stores, groups: &mut [Box<dyn Group>]) -> Self {
-        let mut structure = Self::default();
-        let places = structure.place_variables(stores);
-        let edges = structure.collect_members(stores, groups, &places);
-        structure.lay_out_reduced(&edges);
-        structure.lay_out_landmarks(stores);
-        structure.publish(stores, groups, &places);
-        structure
+        let mut layout = Self::default();
+        let places = layout.place_variables(stores);
+        let edges = layout.collect_members(stores, groups, &places);
+        layout.lay_out_reduced(&edges);
+        layout.lay_out_landmarks(stores);
+        layout.publish(stores, groups, &places);
+        layout
     }
 
     /// Gives every free variable its ordinal and its place in the gradient: reduced ones first.
@@ -153,10 +106,8 @@ impl Structure {
     }
 
     /// Counting sort of `(landmark, reduced)` by landmark, then sorts and deduplicates each list.
-    fn sort_members(&mut self, ties: &[(u32, u32)], mut starts: Vec<usize>) {
-        for landmark in 1..starts.len() {
-            starts[landmark] += starts[landmark - 1];
-        }
+    fn sort_members(&mut self, ties: &[(u32, u32)], counts: Vec<usize>) {
+        let starts = running_sums(counts);
         let mut next = starts.clone();
         let mut sorted = vec![0u32; ties.len()];
         for &(landmark, reduced) in ties {
@@ -168,6 +119,7 @@ impl Structure {
             let list = &mut sorted[starts[index]..starts[index + 1]];
             list.sort_unstable();
             let first = self.members.len();
+            // A landmark may be tied to a variable by several factors: a point and its line, say.
             for &reduced in list.iter() {
                 let known = self.members[first..].last().is_some_and(|last| last.reduced == reduced);
                 if !known {
@@ -182,78 +134,68 @@ impl Structure {
     /// Lays out the blocks of the reduced system column by column: the diagonal block, then those below it,
     /// and notes for each landmark where the products of its members go.
     fn lay_out_reduced(&mut self, edges: &[(u32, u32)]) {
-        for landmark in 0..self.landmarks.len() {
-            let n = self.landmarks[landmark].members.len();
-            self.landmarks[landmark].pairs = self.pairs.len();
-            self.pairs.resize(self.pairs.len() + n * n.saturating_sub(1) / 2, NO_SLOT);
-        }
-        let (occurrences, starts) = self.occurrences();
+        self.reserve_pairs();
+        let occurrences = Occurrences::of(self);
         let mut edges = edges.iter().peekable();
-        let mut seen_in = vec![NO_SLOT; self.reduced.len()];
+        let mut pattern = ColumnPattern::new(self.reduced.len());
         let mut offset_of = vec![NO_SLOT; self.reduced.len()];
-        let mut rows = Vec::new();
         self.column_starts.push(0);
         for column in 0..self.reduced.len() {
-            rows.clear();
-            let mut see = |row: u32| {
-                if seen_in[row as usize] != column as u32 {
-                    seen_in[row as usize] = column as u32;
-                    rows.push(row);
-                }
-            };
-            let here = &occurrences[starts[column]..starts[column + 1]];
+            let here = occurrences.of_column(column);
+            pattern.begin(column);
+            // Fill-in: what a landmark of this column is tied to besides. Members are sorted, so those behind
+            // this one are those below the diagonal.
             for &(landmark, position) in here {
-                let range = &self.landmarks[landmark as usize].members;
-                self.members[range.start + position as usize + 1..range.end]
-                    .iter()
-                    .for_each(|m| see(m.reduced));
+                let Landmark { members, .. } = &self.landmarks[landmark as usize];
+                let later = &self.members[members.start + position as usize + 1..members.end];
+                later.iter().for_each(|member| pattern.insert(member.reduced));
             }
+            // Ties by a factor. The edges are sorted by their lower end, so each column takes a run of them.
             while let Some((_, row)) = edges.next_if(|edge| edge.0 as usize == column) {
-                see(*row);
+                pattern.insert(*row);
             }
-            rows.sort_unstable();
-            let dim = self.reduced[column].dim;
-            self.reduced[column].diagonal = self.n_blocks;
-            self.n_blocks += dim * dim;
-            for &row in &rows {
-                offset_of[row as usize] = block_offset(self.n_blocks);
-                self.rows.push(row);
-                self.offsets.push(offset_of[row as usize]);
-                self.n_blocks += dim * self.reduced[row as usize].dim;
-            }
-            self.column_starts.push(self.rows.len());
-            for &(landmark, position) in here {
-                let Landmark { members, pairs, .. } = &self.landmarks[landmark as usize];
-                let (n, a) = (members.len(), position as usize);
-                let first = pairs + a * (2 * n - a - 1) / 2;
-                let later = &self.members[members.start + a + 1..members.end];
-                for (pair, member) in self.pairs[first..].iter_mut().zip(later) {
-                    *pair = offset_of[member.reduced as usize];
-                }
-            }
+            self.place_column(column, pattern.sorted_rows());
+            self.note_pairs(column, here, &mut offset_of);
         }
         self.n_reduced_blocks = self.n_blocks;
     }
 
-    /// The landmarks each reduced variable is tied to, with its position among their members.
-    fn occurrences(&self) -> (Vec<(u32, u32)>, Vec<usize>) {
-        let mut starts = vec![0usize; self.reduced.len() + 1];
-        for member in &self.members {
-            starts[member.reduced as usize + 1] += 1;
+    /// Makes room for every landmark's pairs.
+    fn reserve_pairs(&mut self) {
+        for landmark in &mut self.landmarks {
+            landmark.pairs = self.pairs.len();
+            self.pairs.resize(self.pairs.len() + Landmark::n_pairs(landmark.members.len()), NO_SLOT);
         }
-        for reduced in 1..starts.len() {
-            starts[reduced] += starts[reduced - 1];
+    }
+
+    /// Places a column's diagonal block and, behind it, one for each of `rows`.
+    fn place_column(&mut self, column: usize, rows: &[u32]) {
+        let dim = self.reduced[column].dim;
+        self.reduced[column].diagonal = self.n_blocks;
+        self.n_blocks += dim * dim;
+        for &row in rows {
+            self.rows.push(row);
+            self.offsets.push(block_offset(self.n_blocks));
+            self.n_blocks += dim * self.reduced[row as usize].dim;
         }
-        let mut next = starts.clone();
-        let mut occurrences = vec![(0, 0); self.members.len()];
-        for (index, landmark) in self.landmarks.iter().enumerate() {
-            for (position, member) in self.members[landmark.members.clone()].iter().enumerate() {
-                let place = &mut next[member.reduced as usize];
-                occurrences[*place] = (index as u32, position as u32);
-                *place += 1;
+        self.column_starts.push(self.rows.len());
+    }
+
+    /// Notes where the products of `column` with each landmark's later members go. `offset_of` is scratch:
+    /// the offset of each row of this column. Rows of other columns keep stale ones, which nobody asks for.
+    fn note_pairs(&mut self, column: usize, here: &[(u32, u32)], offset_of: &mut [u32]) {
+        for at in self.below(column) {
+            offset_of[self.rows[at] as usize] = self.offsets[at];
+        }
+        for &(landmark, position) in here {
+            let landmark = &self.landmarks[landmark as usize];
+            let position = position as usize;
+            let later = &self.members[landmark.members.start + position + 1..landmark.members.end];
+            let first = landmark.pairs_of(position);
+            for (pair, member) in self.pairs[first..].iter_mut().zip(later) {
+                *pair = offset_of[member.reduced as usize];
             }
         }
-        (occurrences, starts)
     }
 
     /// Places the landmarks' diagonal blocks and behind them their blocks with reduced variables.
@@ -280,22 +222,7 @@ impl Structure {
     fn publish(&self, stores: &mut Stores, groups: &mut [Box<dyn Group>], places: &[Vec<Place>]) {
         for (store, places) in stores.iter_mut().zip(places) {
             for (index, place) in places.iter().enumerate() {
-                let (gradient, diagonal) = match *place {
-                    Place::Fixed => {
-                        store.set_slot(index, VariableSlot::FIXED);
-                        continue;
-                    }
-                    Place::Reduced(i) => {
-                        (self.reduced[i as usize].gradient, self.reduced[i as usize].diagonal)
-                    }
-                    Place::Landmark(i) => {
-                        (self.landmarks[i as usize].gradient, self.landmarks[i as usize].diagonal)
-                    }
-                };
-                store.set_slot(
-                    index,
-                    VariableSlot { gradient: block_offset(gradient), diagonal: block_offset(diagonal) },
-                );
+                store.set_slot(index, self.slot(*place));
             }
         }
         for group in groups {
@@ -305,6 +232,21 @@ impl Structure {
                 group.set_pairs(index, pairs);
             }
         }
+    }
+
+    fn slot(&self, place: Place) -> VariableSlot {
+        let (gradient, diagonal) = match place {
+            Place::Fixed => return VariableSlot::FIXED,
+            Place::Reduced(i) => {
+                let variable = &self.reduced[i as usize];
+                (variable.gradient, variable.diagonal)
+            }
+            Place::Landmark(i) => {
+                let landmark = &self.landmarks[i as usize];
+                (landmark.gradient, landmark.diagonal)
+            }
+        };
+        VariableSlot { gradient: block_offset(gradient), diagonal: block_offset(diagonal) }
     }
 
     /// Where `J_aᵀ J_b` goes; marked when the block there is its transpose.
@@ -321,10 +263,9 @@ impl Structure {
     }
 
     fn reduced_block(&self, row: u32, column: u32) -> u32 {
-        let range = self.column_starts[column as usize]..self.column_starts[column as usize + 1];
-        let rows = &self.rows[range.clone()];
-        let position = rows.binary_search(&row).expect("every factor's pairs were laid out");
-        self.offsets[range.start + position]
+        let range = self.below(column as usize);
+        let position = self.rows[range.clone()].binary_search(&row);
+        self.offsets[range.start + position.expect("every factor's pairs were laid out")]
     }
 
     fn cross_block(&self, landmark: u32, reduced: u32) -> u32 {
@@ -334,6 +275,71 @@ impl Structure {
     }
 }
 
+/// For each reduced variable the landmarks it is tied to, each with its position among their members: the
+/// transpose of the landmarks' lists of members.
+struct Occurrences {
+    /// `(landmark, position)`, column by column.
+    list: Vec<(u32, u32)>,
+    starts: Vec<usize>,
+}
+
+impl Occurrences {
+    fn of(layout: &Layout) -> Self {
+        let mut counts = vec![0usize; layout.reduced.len() + 1];
+        for member in &layout.members {
+            counts[member.reduced as usize + 1] += 1;
+        }
+        let starts = running_sums(counts);
+        let mut next = starts.clone();
+        let mut list = vec![(0, 0); layout.members.len()];
+        for (index, landmark) in layout.landmarks.iter().enumerate() {
+            for (position, member) in layout.members[landmark.members.clone()].iter().enumerate() {
+                let place = &mut next[member.reduced as usize];
+                list[*place] = (index as u32, position as u32);
+                *place += 1;
+            }
+        }
+        Self { list, starts }
+    }
+
+    fn of_column(&self, column: usize) -> &[(u32, u32)] {
+        &self.list[self.starts[column]..self.starts[column + 1]]
+    }
+}
+
+/// The set of rows below the diagonal of one column after another. A row is in it when its stamp is the
+/// column's number, so that a new column clears nothing.
+struct ColumnPattern {
+    column: u32,
+    seen_in: Vec<u32>,
+    rows: Vec<u32>,
+}
+
+impl ColumnPattern {
+    fn new(n_columns: usize) -> Self {
+        Self { column: NO_SLOT, seen_in: vec![NO_SLOT; n_columns], rows: Vec::new() }
+    }
+
+    fn begin(&mut self, column: usize) {
+        self.column = column as u32;
+        self.rows.clear();
+    }
+
+    fn insert(&mut self, row: u32) {
+        let stamp = &mut self.seen_in[row as usize];
+        if *stamp != self.column {
+            *stamp = self.column;
+            self.rows.push(row);
+        }
+    }
+
+    fn sorted_rows(&mut self) -> &[u32] {
+        self.rows.sort_unstable();
+        &self.rows
+    }
+}
+
+/// The pairs of a factor's members, in the order of [`FactorPairs`].
 const PAIRS: [(usize, usize); 3] = [(0, 1), (0, 2), (1, 2)];
 
 fn resolve(variables: [Option<VariableRef>; 3], places: &[Vec<Place>]) -> [Place; 3] {
@@ -341,6 +347,14 @@ fn resolve(variables: [Option<VariableRef>; 3], places: &[Vec<Place>]) -> [Place
         Some(VariableRef { store, index }) => places[store as usize][index as usize],
         None => Place::Fixed,
     })
+}
+
+/// Counts, each one place behind what it counts, become the places where its entries start.
+fn running_sums(mut counts: Vec<usize>) -> Vec<usize> {
+    for i in 1..counts.len() {
+        counts[i] += counts[i - 1];
+    }
+    counts
 }
 
 /// Offsets are kept in 31 bits: 16 GB of blocks, more than any problem solved on one thread.

@@ -1,6 +1,6 @@
-//! What the surroundings of a segment look like: line band descriptors
-//! [Zhang & Koch, "An efficient and robust line segment matching approach based on LBD descriptor and pairwise
-//! geometric consistency", JVCIR 2013], in 256 bits.
+//! Line descriptors, what the surroundings of a segment look like: line band descriptors (LBD) [Zhang & Koch,
+//! "An efficient and robust line segment matching approach based on LBD descriptor and pairwise geometric
+//! consistency", JVCIR 2013], in 256 bits.
 
 use super::Segment;
 use super::sampling::{Sampler, halve, halved_position};

@@ -6,6 +6,7 @@ use crate::lines::clip::Frame;
 use crate::lines::edge_drawing::EdgeDrawing;
 use crate::lines::gradient::Gradients;
 use crate::lines::lsd::Lsd;
+use crate::lines::raw_detector::RawDetector;
 use crate::lines::refine::Refiner;
 use crate::lines::sampling::Sampler;
 use crate::lines::select;
@@ -135,13 +136,6 @@ pub fn detector(config: LineDetectorConfig) -> Result<Box<dyn SegmentDetector>, 
         DetectorKind::EdgeDrawing => Box::new(ForSlam::new(config, EdgeDrawing::new(config.min_gradient))),
         DetectorKind::Lsd => Box::new(ForSlam::new(config, Lsd::new(config.lsd_scale))),
     })
-}
-
-/// Finds segments as they come: any number, to a pixel.
-pub(super) trait RawDetector: Send {
-    /// Appends the segments of `image`, whose gradient is `gradients`, to `segments`: start and end, brighter side to
-    /// the right.
-    fn detect(&mut self, image: &GrayImage, gradients: &Gradients, segments: &mut Vec<select::Ends>);
 }
 
 /// A raw detector with its segments made fit for SLAM.

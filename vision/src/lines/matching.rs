@@ -1,4 +1,4 @@
-//! Which segment of one image is which of another: geometry first, then what they look like.
+//! Line matching, which segment of one image is which of another: geometry first, then descriptors.
 
 use nalgebra::Vector2;
 

@@ -1,4 +1,4 @@
-//! Joining pieces of one edge.
+//! Line merging (line fusion in the image): joining pieces of one edge.
 
 use nalgebra::Vector2;
 

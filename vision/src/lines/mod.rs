@@ -1,4 +1,7 @@
-//! Line segments: finding, describing and following them.
+//! Line segments: detection, description, matching and tracking.
+//!
+//! Detectors: [`DetectorKind::EdgeDrawing`] (EDLines, ELSED) and [`DetectorKind::Lsd`]. Descriptor:
+//! [`LineDescriber`] (LBD). Tracking: [`LineTracker`], on optical flow by [`LineFlow`] (KLT).
 
 mod clip;
 mod descriptor;
@@ -11,6 +14,7 @@ mod lsd;
 mod matching;
 mod merging;
 mod moments;
+mod raw_detector;
 mod refine;
 mod sampling;
 mod segment;

@@ -1,4 +1,5 @@
-//! A segment to a fraction of a pixel: the line through the maxima of the gradient across it.
+//! Sub-pixel refinement, a segment to a fraction of a pixel: the line through the maxima of the gradient
+//! across it.
 
 use nalgebra::Vector2;
 

@@ -1,5 +1,5 @@
-//! Where a corner is to a fraction of a pixel: the point at which the edges around it meet
-//! [Förstner & Gülch, "A fast operator for detection and precise location of distinct points", 1987].
+//! Sub-pixel refinement, where a corner is to a fraction of a pixel: the point at which the edges around it
+//! meet [Förstner & Gülch, "A fast operator for detection and precise location of distinct points", 1987].
 
 use crate::GrayImage;
 

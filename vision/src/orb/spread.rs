@@ -1,4 +1,5 @@
-//! Choosing corners so that they cover the image: a quadtree, grown until it has as many leaves as corners are wanted.
+//! Keypoint distribution, choosing corners so that they cover the image: a quadtree, grown until it has as
+//! many leaves as corners are wanted.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

@@ -1,9 +1,11 @@
-//! Place recognition: which stored images show what this image shows.
+//! Place recognition: which stored images show what this image shows. (Image retrieval for loop closure and
+//! relocalization; what a bag of words, DBoW2, does elsewhere.)
 //!
-//! Instead of a vocabulary trained beforehand and loaded from a file, the stored descriptors index themselves: a few
-//! binary search trees that ask one bit of a descriptor after the other, growing as images come [Schlegel & Grisetti,
-//! "HBST: a Hamming distance embedding binary search tree for feature-based visual place recognition", RA-L 2018]. A
-//! queried descriptor is compared with those it shares a leaf with, and votes for the images of those that are near.
+//! Instead of a vocabulary trained beforehand and loaded from a file, the stored descriptors index
+//! themselves: a few binary search trees that ask one bit of a descriptor after the other, growing as images
+//! come [Schlegel & Grisetti, "HBST: a Hamming distance embedding binary search tree for feature-based visual
+//! place recognition", RA-L 2018]. A queried descriptor is compared with those it shares a leaf with, and
+//! votes for the images of those that are near.
 
 mod tree;
 

@@ -1,4 +1,5 @@
-//! From a rough direction and the segments that accept it to a direction with its covariance.
+//! Non-linear refinement of a vanishing point: from a rough direction and the segments that accept it to a
+//! direction with its covariance.
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector3};
 

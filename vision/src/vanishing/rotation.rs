@@ -1,4 +1,4 @@
-//! The camera's rotation from directions seen in it.
+//! The camera's rotation from directions seen in it (Wahba's problem).
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 

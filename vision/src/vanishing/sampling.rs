@@ -1,4 +1,4 @@
-//! Directions worth trying: where the planes of two segments meet.
+//! Hypotheses for vanishing points, directions worth trying: where the planes of two segments meet.
 
 use nalgebra::Vector3;
 use rand::Rng;

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector2;
 
-use crate::lines::edge_drawing::Piece;
+use super::pieces::Piece;
 use crate::lines::select::Ends;
 
 /// Widest gap that is bridged, pixels: the longest jump of ELSED is 9.

@@ -14,18 +14,9 @@ mod walk;
 use nalgebra::Vector2;
 
 use crate::GrayImage;
-use crate::lines::detector::RawDetector;
-use crate::lines::fit::Moments;
 use crate::lines::gradient::{Gradients, UNITS_PER_LEVEL};
+use crate::lines::raw_detector::RawDetector;
 use crate::lines::select::Ends;
-
-/// A straight piece of an edge.
-#[derive(Clone, Copy, Debug)]
-struct Piece {
-    ends: Ends,
-    /// Of the edge's pixels, to a fraction.
-    moments: Moments,
-}
 
 /// Pieces shorter than this after joining are not reported, pixels. An accidental alignment of so many pixels of a chain
 /// within a pixel of a line is expected less than once in an image [Akinlar & Topal 2011, section 2.3: 12 px for 752x480].
@@ -40,7 +31,7 @@ pub(super) struct EdgeDrawing {
     walker: walk::Walker,
     /// Sub-pixel positions of the edge being cut.
     points: Vec<Vector2<f32>>,
-    pieces: Vec<Piece>,
+    pieces: Vec<pieces::Piece>,
     bridger: bridge::Bridger,
 }
 

@@ -2,10 +2,17 @@
 
 use nalgebra::Vector2;
 
-use crate::lines::edge_drawing::Piece;
 use crate::lines::fit::{FittedLine, Moments};
 use crate::lines::gradient::Gradients;
 use crate::lines::select::Ends;
+
+/// A straight piece of an edge.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Piece {
+    pub ends: Ends,
+    /// Of the edge's pixels, to a fraction.
+    pub moments: Moments,
+}
 
 /// A piece begins with so many pixels in a row that lie on a line.
 pub(super) const SEED: usize = 10;

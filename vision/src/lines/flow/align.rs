@@ -2,20 +2,15 @@
 
 use nalgebra::Vector2;
 
-use super::Paths;
+use super::paths::{HALF_PATH, MAX_PATH, MAX_SEARCH, Paths};
 
-/// A path compared reaches this far on either side of the edge, pixels of its level.
-pub(super) const HALF_PATH: usize = 5;
+/// Grey levels of a path compared.
 const PATH: usize = 2 * HALF_PATH + 1;
 /// Largest shift from the guess, pixels of the level.
 const MAX_SHIFT: usize = 3;
 /// What is read of either image, so that a path can be shifted there and back.
 const HALF_READ: usize = HALF_PATH + MAX_SHIFT + 1;
 const READ: usize = 2 * HALF_READ + 1;
-/// Largest shift of the search on the coarsest level, pixels of that level.
-const MAX_SEARCH: usize = 8;
-/// The longest path read.
-pub(super) const MAX_PATH: usize = 2 * (HALF_PATH + MAX_SEARCH) + 1;
 
 /// Weights of a path: Gaussian, sigma 2.5 pixels, so the edge itself counts most and its neighbours least.
 const WEIGHTS: [f32; PATH] =
@@ -34,7 +29,8 @@ pub(super) struct Aligned {
     pub shift: f32,
     /// Of the path with what was found, -1 to 1.
     pub correlation: f32,
-    /// How far from its beginning the found path leads when followed back, pixels of the level; 0 if not asked for.
+    /// How far from its beginning the found path leads when followed back, pixels of the level; 0 if not
+    /// asked for.
     pub forward_backward: f32,
 }
 
@@ -80,8 +76,8 @@ impl Aligner {
         by_cost.map_or(0, |(_, offset)| offset)
     }
 
-    /// Finds the path across `old` near `new`; with `and_back`, also follows it back. `None` if the path has no contrast
-    /// or leaves the stretch that was read.
+    /// Finds the path across `old` near `new`; with `and_back`, also follows it back. `None` if the path has
+    /// no contrast or leaves the stretch that was read.
     pub fn align(
         &self,
         paths: &Paths,
@@ -94,7 +90,8 @@ impl Aligner {
         paths.read_next(new, &mut next);
         let forward = align_profiles(&last, 0.0, &next, 0.0)?;
         let forward_backward = if and_back {
-            // The found path, whose own place in `next` is its shift, starts from where it would lie had it not moved.
+            // The found path, whose own place in `next` is its shift, starts from where it would lie had it
+            // not moved.
             let backward = align_profiles(&next, forward.shift, &last, 0.0)?;
             backward.shift.abs()
         } else {

@@ -4,11 +4,12 @@ use nalgebra::Vector2;
 
 use crate::lines::fit::{FittedLine, Moments};
 
-/// Most pairs of places tried for the line most places agree on: with 30 % outliers any one pair is good every other
-/// time, so 40 all but never fail together.
+/// Most pairs of places tried for the line most places agree on: with 30 % outliers any one pair is good
+/// every other time, so 40 all but never fail together.
 const MAX_PAIRS: usize = 40;
 
-/// How far an edge has moved across itself, linear in the position along it: `offset + slope * along`, pixels.
+/// How far an edge has moved across itself, linear in the position along it: `offset + slope * along`,
+/// pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct ShiftLine {
     pub offset: f32,
@@ -20,8 +21,9 @@ impl ShiftLine {
         self.offset + self.slope * along
     }
 
-    /// The line most of the `(along, shift)` agree on within `tolerance` pixels, fitted to those. Pairs of places well
-    /// apart are tried in a fixed order. `None` if fewer than half agree on any line, or there are fewer than two.
+    /// The line most of the `(along, shift)` agree on within `tolerance` pixels, fitted to those. Pairs of
+    /// places well apart are tried in a fixed order. `None` if fewer than half agree on any line, or there
+    /// are fewer than two.
     pub fn fit(shifts: &[(f32, f32)], tolerance: f32) -> Option<Self> {
         let n = shifts.len();
         let min_apart = n.div_ceil(3).max(1);
@@ -64,8 +66,8 @@ impl ShiftLine {
     }
 }
 
-/// The line of least squared distances, directed within a right angle of `towards`. `None` for fewer than two points or
-/// points that are not finite.
+/// The line of least squared distances, directed within a right angle of `towards`. `None` for fewer than two
+/// points or points that are not finite.
 pub(super) fn fit_points(points: &[Vector2<f32>], towards: Vector2<f32>) -> Option<FittedLine> {
     if points.len() < 2 || !points.iter().all(|point| point.iter().all(|value| value.is_finite())) {
         return None;

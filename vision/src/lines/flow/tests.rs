@@ -1,6 +1,7 @@
 use nalgebra::Matrix3;
 
 use super::*;
+use crate::GrayImage;
 use crate::lines::test_scenes::{Scene, apply, similarity};
 use crate::test_images::noise;
 
@@ -13,8 +14,8 @@ fn pyramid(image: &GrayImage) -> FlowPyramid {
     pyramid
 }
 
-/// Follows all edges longer than 30 px through a motion; gives the share found, and of those the root mean square and
-/// the largest distance of their middle thirds' ends from the true edges.
+/// Follows all edges longer than 30 px through a motion; gives the share found, and of those the root mean
+/// square and the largest distance of their middle thirds' ends from the true edges.
 fn followed(motion: &Matrix3<f32>, gain: f32, offset: f32, prior: Option<&MotionPrior>) -> (f32, f32, f32) {
     let scene = Scene::new(SIZE.0, SIZE.1, 8);
     let still = Matrix3::identity();

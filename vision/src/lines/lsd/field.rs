@@ -2,11 +2,17 @@
 
 use nalgebra::Vector2;
 
-use super::region::Pixel;
 use super::rescale::Shrunk;
 
 /// Bins of gradient magnitude by which seeds are sorted.
 const N_BINS: usize = 1024;
+
+/// A pixel of the shrunk image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Pixel {
+    pub x: u32,
+    pub y: u32,
+}
 
 /// Unit level-line directions, brighter side to the right; and which pixels are taken.
 #[derive(Clone, Debug, Default)]

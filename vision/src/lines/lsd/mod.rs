@@ -17,8 +17,8 @@ mod tests;
 use nalgebra::Vector2;
 
 use crate::GrayImage;
-use crate::lines::detector::RawDetector;
 use crate::lines::gradient::Gradients;
+use crate::lines::raw_detector::RawDetector;
 use crate::lines::select::Ends;
 use rectangle::Rectangle;
 
@@ -54,7 +54,7 @@ impl Lsd {
     }
 
     /// The segment around `seed`, if there is one, in pixels of the shrunk image.
-    fn segment_from(&mut self, seed: region::Pixel) -> Option<Rectangle> {
+    fn segment_from(&mut self, seed: field::Pixel) -> Option<Rectangle> {
         self.region.grow(&mut self.field, seed, TOLERANCE);
         if self.region.pixels.len() < self.judge.min_pixels() {
             return None;

@@ -2,14 +2,7 @@
 
 use nalgebra::Vector2;
 
-use super::field::Field;
-
-/// A pixel of the shrunk image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Pixel {
-    pub x: u32,
-    pub y: u32,
-}
+use super::field::{Field, Pixel};
 
 /// A region; keeps its buffer from one to the next.
 #[derive(Clone, Debug, Default)]

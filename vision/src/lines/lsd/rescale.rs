@@ -1,4 +1,19 @@
 //! Shrinking an image under a Gaussian, which takes the staircase out of slanted edges.
+//!
+//! The Gaussian is separable: first old rows are blended into a new one, then old columns of that. The second
+//! step would read with a stride that no vector instruction likes, so eight new rows are blended before it
+//! and stored side by side, one strip of eight values for each column:
+//!
+//! ```text
+//!   old rows          blended rows, with margins           strips                      new pixels
+//!
+//!   y-2 ....  w0 ┐    row 0   m m . . . . . . m m          column:  0 1 2 3 …          x = 0: w0 [0] + w1 [1] + …
+//!   y-1 ....  w1 ├──► row 1   m m . . . . . . m m   ──►   lane 0   . . . .     ──►    of whole strips: eight
+//!   y   ....  w2 │    …                                    lane 1   . . . .            rows at a time
+//!   y+1 ....  w3 ┘    row 7   m m . . . . . . m m          …
+//! ```
+//!
+//! The margins `m` hold the pixels inside, mirrored at the edge, so that the inner loop asks no questions.
 
 use crate::GrayImage;
 
@@ -55,6 +70,7 @@ struct Taps {
 }
 
 impl Taps {
+    /// Weights for `n_old` pixels along an axis, unless they are those at hand.
     fn prepare(&mut self, n_old: usize, scale: f64) {
         if (self.n_old, self.scale) == (n_old, scale) {
             return;
@@ -71,6 +87,8 @@ impl Taps {
             ..Self::default()
         };
         for i in 0..self.n_new {
+            // New pixel `i` lies over old position `i / scale`; its weights are a Gaussian around that, sum
+            // one.
             let centre = i as f64 / scale;
             let nearest = (centre + 0.5).floor();
             let weight = |j: usize| {
@@ -83,6 +101,7 @@ impl Taps {
         }
     }
 
+    /// Where the weights of new pixel `i` begin, counted from the margin, and the weights.
     fn of(&self, i: usize) -> (usize, &[f32]) {
         (self.starts[i], &self.weights[i * self.n_weights..][..self.n_weights])
     }
@@ -98,52 +117,65 @@ impl Taps {
 impl Rescaler {
     /// Shrinks `image` to `scale` times its size, rounded up.
     pub fn shrink(&mut self, image: &GrayImage, scale: f64) -> &Shrunk {
-        let (width, height) = (image.width() as usize, image.height() as usize);
-        self.columns.prepare(width, scale);
-        self.rows.prepare(height, scale);
-        let (columns, rows) = (&self.columns, &self.rows);
-        self.shrunk.width = columns.n_new;
-        self.shrunk.height = rows.n_new;
-        self.shrunk.pixels.resize(columns.n_new * rows.n_new, 0.0);
+        self.prepare(image, scale);
         if image.is_empty() {
             return &self.shrunk;
         }
-        let margin = columns.margin;
-        self.blended.resize(width + 2 * margin, 0.0);
-        self.strips.resize(self.blended.len(), [0.0; LANES]);
-        self.rows_in_use.resize_with(rows.n_weights, RowInUse::default);
-        self.rows_in_use.iter_mut().for_each(|row| row.y = None);
-        let n_new = columns.n_new;
-        for (i, out) in self.shrunk.pixels.chunks_mut(LANES * n_new).enumerate() {
+        let n_new = self.columns.n_new;
+        let mut pixels = std::mem::take(&mut self.shrunk.pixels);
+        for (i, out) in pixels.chunks_mut(LANES * n_new).enumerate() {
             for lane in 0..out.len() / n_new {
-                let (start, weights) = rows.of(i * LANES + lane);
-                let blended = &mut self.blended[margin..margin + width];
-                blended.fill(0.0);
-                for (j, &weight) in weights.iter().enumerate() {
-                    let y = rows.mirrored(start + j);
-                    let row = self.rows_in_use[y % rows.n_weights].hold(image, y);
-                    for (sum, &pixel) in blended.iter_mut().zip(row) {
-                        *sum += weight * pixel;
-                    }
-                }
-                for i in 0..margin {
-                    self.blended[i] = self.blended[margin + columns.mirrored(i)];
-                    self.blended[margin + width + i] =
-                        self.blended[margin + columns.mirrored(margin + width + i)];
-                }
+                self.blend_rows(image, i * LANES + lane);
                 for (strip, &value) in self.strips.iter_mut().zip(&self.blended) {
                     strip[lane] = value;
                 }
             }
+            // Lanes beyond the last row hold what was there before, and are not written out.
             for x in 0..n_new {
-                let (start, weights) = columns.of(x);
+                let (start, weights) = self.columns.of(x);
                 let sums = weighted_sum(weights, &self.strips[start..][..weights.len()]);
                 for (out, sum) in out[x..].iter_mut().step_by(n_new).zip(sums) {
                     *out = sum;
                 }
             }
         }
+        self.shrunk.pixels = pixels;
         &self.shrunk
+    }
+
+    /// Weights and buffers for an image of this size.
+    fn prepare(&mut self, image: &GrayImage, scale: f64) {
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        self.columns.prepare(width, scale);
+        self.rows.prepare(height, scale);
+        self.shrunk.width = self.columns.n_new;
+        self.shrunk.height = self.rows.n_new;
+        self.shrunk.pixels.resize(self.columns.n_new * self.rows.n_new, 0.0);
+        self.blended.resize(width + 2 * self.columns.margin, 0.0);
+        self.strips.resize(self.blended.len(), [0.0; LANES]);
+        self.rows_in_use.resize_with(self.rows.n_weights, RowInUse::default);
+        self.rows_in_use.iter_mut().for_each(|row| row.y = None);
+    }
+
+    /// The old rows that make up new row `i`, blended into one, its margins filled with what lies inside,
+    /// mirrored.
+    fn blend_rows(&mut self, image: &GrayImage, i: usize) {
+        let (width, margin) = (image.width() as usize, self.columns.margin);
+        let (start, weights) = self.rows.of(i);
+        let blended = &mut self.blended[margin..margin + width];
+        blended.fill(0.0);
+        for (j, &weight) in weights.iter().enumerate() {
+            let y = self.rows.mirrored(start + j);
+            let row = self.rows_in_use[y % self.rows.n_weights].hold(image, y);
+            for (sum, &pixel) in blended.iter_mut().zip(row) {
+                *sum += weight * pixel;
+            }
+        }
+        for i in 0..margin {
+            self.blended[i] = self.blended[margin + self.columns.mirrored(i)];
+            self.blended[margin + width + i] =
+                self.blended[margin + self.columns.mirrored(margin + width + i)];
+        }
     }
 }
 

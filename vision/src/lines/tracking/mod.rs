@@ -1,6 +1,7 @@
-//! Following lines from image to image: flow predicts the lines of the last image, detections confirm or replace the
-//! predictions, and pieces of one edge become one line [after the optical flow-based line fusion of the MonoSLAM paper
-//! and Lim et al., "Avoiding degeneracy for monocular visual SLAM with point and line features", ICRA 2021].
+//! Line tracking, from image to image: flow predicts the lines of the last image, detections confirm or
+//! replace the predictions, and pieces of one edge become one line [after the optical flow-based line fusion
+//! of the MonoSLAM paper and Lim et al., "Avoiding degeneracy for monocular visual SLAM with point and line
+//! features", ICRA 2021].
 
 mod config;
 mod detections;

@@ -4,8 +4,9 @@ use std::any::{Any, TypeId};
 use std::fmt;
 use std::marker::PhantomData;
 
+use crate::layout::VariableSlot;
 use crate::manifold::{Manifold, Tangent};
-use crate::schur::{LandmarkSpan, Schur};
+use crate::schur::{Eliminate, LandmarkSpan, Schur};
 
 /// Names a variable of type `T` within the problem that gave it out.
 pub struct VariableId<T> {
@@ -63,39 +64,17 @@ pub(crate) enum Role {
 }
 
 /// Which copy of the values: the accepted ones, or those of the step under trial.
-#[doc(hidden)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Side {
+pub(crate) enum Side {
     Current,
     Trial,
 }
 
-/// Marks a fixed variable, or a pair of variables of which at least one is fixed.
-pub(crate) const NO_SLOT: u32 = u32::MAX;
-
-/// Where a variable's gradient and its diagonal block of the Hessian begin; `NO_SLOT` when it is fixed.
-#[doc(hidden)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct VariableSlot {
-    pub(crate) gradient: u32,
-    pub(crate) diagonal: u32,
-}
-
-impl VariableSlot {
-    pub(crate) const FIXED: Self = Self { gradient: NO_SLOT, diagonal: NO_SLOT };
-
-    #[inline(always)]
-    pub(crate) fn is_fixed(self) -> bool {
-        self.gradient == NO_SLOT
-    }
-}
-
 /// A variable of any type: which store, and where in it.
-#[doc(hidden)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct VariableRef {
-    pub(crate) store: u32,
-    pub(crate) index: u32,
+pub(crate) struct VariableRef {
+    pub store: u32,
+    pub index: u32,
 }
 
 /// All variables of one type.
@@ -183,9 +162,8 @@ impl<T: Manifold> Store for TypedStore<T> {
 }
 
 /// The variables of a problem, one store per type, in the order in which the types first appeared.
-#[doc(hidden)]
 #[derive(Default)]
-pub struct Stores {
+pub(crate) struct Stores {
     stores: Vec<Box<dyn Store>>,
     types: Vec<TypeId>,
 }

@@ -2,21 +2,16 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::schur::multiply_add;
-
-use super::store::{NO_SLOT, VariableSlot};
-
-/// Set on a pair's offset when the block is stored as (second member) x (first member).
-pub(crate) const TRANSPOSED: u32 = 1 << 31;
+use crate::arithmetic::multiply_add;
+use crate::layout::{NO_SLOT, TRANSPOSED, VariableSlot};
 
 /// Gradient `g = Σ w Jᵀ r` and the blocks of `H = Σ w Jᵀ J`, each column-major, in one flat buffer:
 /// first those of the reduced system (whole diagonal blocks, and below them the off-diagonal ones), then the
 /// landmarks' diagonal blocks, then the (reduced x landmark) ones.
-#[doc(hidden)]
 #[derive(Default)]
-pub struct NormalEquations {
-    pub(crate) blocks: Vec<f64>,
-    pub(crate) gradient: Vec<f64>,
+pub(crate) struct NormalEquations {
+    pub blocks: Vec<f64>,
+    pub gradient: Vec<f64>,
 }
 
 impl NormalEquations {
