@@ -4,15 +4,13 @@ use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
 use crate::options::engine_config;
 use crate::session::{
-    self, FrameQueue, LoadContext, LoadedView, Located, OpenRequest, Registry, Replies, Reply, SentImage,
-    SessionId,
+    self, FrameQueue, LoadContext, Located, OpenRequest, Registry, Replies, Reply, SentImage, SessionId,
+    SessionView,
 };
 use geometry::{Camera, CameraParameters};
-use slam::map::FrameState;
 use std::sync::Arc;
 use std::time::Duration;
-use std::time::{SystemTime, UNIX_EPOCH};
-use store::{SessionChanges, SessionOptions, SessionRecord, Store, StoreError};
+use store::{SessionChanges, SessionOptions, SessionRecord, Store};
 use tokio::sync::Semaphore;
 
 /// Sessions or rows on a page if the caller does not say.
@@ -50,47 +48,6 @@ pub struct NewSession {
     pub camera: CameraParameters,
     /// What it runs with.
     pub options: SessionOptions,
-}
-
-/// A session, as stored and as it is in memory.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SessionView {
-    /// Its name.
-    pub id: String,
-    /// Its camera, as it was given.
-    pub camera: CameraParameters,
-    /// Its camera as it was found to be; `None` while it is used as it was given.
-    pub refined_camera: Option<CameraParameters>,
-    /// What it runs with.
-    pub options: SessionOptions,
-    /// Wall-clock time of creation, nanoseconds since 1970.
-    pub created_at_ns: i64,
-    /// How tracking its last frame ended; `None` before the first.
-    pub state: Option<FrameState>,
-    /// Metres per map unit; `None` while the scale is free.
-    pub metres_per_unit: Option<f64>,
-    /// Frames of the trajectory.
-    pub n_frames: u64,
-    /// Key frames.
-    pub n_keyframes: u64,
-    /// Points.
-    pub n_points: u64,
-    /// Lines.
-    pub n_lines: u64,
-    /// Global primitives.
-    pub n_primitives: u64,
-    /// Submaps that have key frames.
-    pub n_submaps: u32,
-    /// Every frame up to this one is in the database.
-    pub durable_sequence: Option<u64>,
-    /// The frame the server expects next.
-    pub next_sequence: u64,
-    /// Time of the last frame, nanoseconds: later ones must be after it. `None` before the first.
-    pub last_timestamp_ns: Option<i64>,
-    /// Whether the session is in memory.
-    pub loaded: bool,
-    /// Whether a writer is connected.
-    pub has_writer: bool,
 }
 
 /// Some sessions in the order of their ids.
@@ -147,8 +104,7 @@ impl Service {
             return Err(ApiError::new(ErrorCode::TooManySessions, sentence));
         }
         let id = id.unwrap_or_else(SessionId::generate);
-        let created_at_ns =
-            SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64);
+        let created_at_ns = crate::clock::since_1970_ns();
         let camera = camera.parameters().clone();
         let new = store::NewSession { id: id.as_str().to_owned(), camera, options, created_at_ns };
         let record = self.store.create_session(&new).await?;
@@ -295,54 +251,7 @@ impl Service {
 
     fn view(&self, record: SessionRecord) -> SessionView {
         let loaded = SessionId::parse(&record.id, "id").ok().and_then(|id| self.registry.view(&id));
-        let refined_camera = record.refined_camera();
-        let SessionRecord {
-            id,
-            camera,
-            correction: _,
-            options,
-            created_at_ns,
-            state,
-            metres_per_unit,
-            last_frame,
-            counts,
-        } = record;
-        let durable_sequence = last_frame.map(|(sequence, _)| sequence);
-        let mut view = SessionView {
-            id,
-            camera,
-            refined_camera,
-            options,
-            created_at_ns,
-            state: last_frame.map(|_| state),
-            metres_per_unit,
-            n_frames: counts.n_frames,
-            n_keyframes: counts.n_keyframes,
-            n_points: counts.n_points,
-            n_lines: counts.n_lines,
-            n_primitives: counts.n_primitives,
-            n_submaps: counts.n_submaps,
-            durable_sequence,
-            next_sequence: durable_sequence.map_or(0, |sequence| sequence.saturating_add(1)),
-            last_timestamp_ns: last_frame.map(|(_, timestamp_ns)| timestamp_ns),
-            loaded: loaded.is_some(),
-            has_writer: false,
-        };
-        if let Some(LoadedView { live, has_writer }) = loaded {
-            view.has_writer = has_writer;
-            view.state = live.state.or(view.state);
-            if let Some((sequence, timestamp_ns)) = live.last_frame {
-                view.next_sequence = view.next_sequence.max(sequence.saturating_add(1));
-                view.last_timestamp_ns = view.last_timestamp_ns.max(Some(timestamp_ns));
-            }
-            if live.state.is_some() {
-                view.n_keyframes = live.n_keyframes as u64;
-                view.n_points = live.n_points as u64;
-                view.n_lines = live.n_lines as u64;
-                view.n_primitives = live.n_primitives as u64;
-            }
-        }
-        view
+        SessionView::of(record, loaded)
     }
 }
 
@@ -408,34 +317,4 @@ fn check_image_size(camera: &CameraParameters, max_pixels: u64) -> Result<(), Ap
         ));
     }
     Ok(())
-}
-
-impl From<StoreError> for ApiError {
-    fn from(error: StoreError) -> Self {
-        let code = match &error {
-            StoreError::SessionNotFound { .. } => ErrorCode::SessionNotFound,
-            StoreError::SessionExists { .. } => ErrorCode::SessionExists,
-            StoreError::OutOfRange { .. } => ErrorCode::InvalidArgument,
-            StoreError::DiskFull(_) => ErrorCode::StorageFull,
-            StoreError::Io(_) | StoreError::Busy(_) => ErrorCode::StorageFailed,
-            StoreError::Corrupt(_) | StoreError::Map(_) | StoreError::OtherSettings(_) => ErrorCode::DataLoss,
-            _ => return Self::internal(with_causes(&error)),
-        };
-        if matches!(code, ErrorCode::StorageFailed | ErrorCode::DataLoss) {
-            let cause = with_causes(&error);
-            tracing::error!(cause, "the database failed: {cause}");
-        }
-        Self::new(code, error.to_string())
-    }
-}
-
-/// An error with what caused it, for the log.
-fn with_causes(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        text = format!("{text}: {error}");
-        cause = error.source();
-    }
-    text
 }

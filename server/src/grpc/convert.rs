@@ -1,10 +1,10 @@
 //! Between the messages of the contract and the service's types.
 
 use crate::error::{ApiError, ErrorCode, FieldViolation};
-use crate::service::{NewSession, SessionView};
+use crate::service::NewSession;
 use crate::session::{
     Answer, Before, Encoding, Located, MapChange, Mode, OpenRequest, Policy, Rejection, Reply, SentFrame,
-    SentImage, SessionEvent, SessionId,
+    SentImage, SessionEvent, SessionId, SessionView,
 };
 use crate::watch::Watched;
 use geometry::{CameraModel, CameraParameters, PinholeCorrection, Pose};

@@ -1,8 +1,8 @@
 //! The JSON of the HTTP interface. Names are those of the gRPC contract.
 
 use crate::error::ApiError;
-use crate::service::{NewSession, SessionView};
-use crate::session::SessionId;
+use crate::service::NewSession;
+use crate::session::{SessionId, SessionView};
 use geometry::{CameraModel, CameraParameters};
 use serde::{Deserialize, Serialize};
 use slam::map::FrameState;

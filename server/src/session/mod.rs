@@ -10,6 +10,7 @@ mod localise;
 mod queue;
 mod recent;
 mod registry;
+mod view;
 mod worker;
 mod writer;
 
@@ -20,5 +21,6 @@ pub use images::ImageFile;
 pub use load::LoadContext;
 pub use localise::{Located, localise};
 pub use queue::{Closed, Ending, FrameQueue, Policy, Queued};
-pub use registry::{LoadedView, OpenRequest, Registry};
-pub use worker::{Live, Mode, Replies};
+pub use registry::{OpenRequest, Registry};
+pub use view::{Live, LoadedView, SessionView};
+pub use worker::{Mode, Replies};

@@ -3,7 +3,8 @@
 use super::events::{Events, SessionEvent};
 use super::load::{self, LoadContext};
 use super::queue::{FrameQueue, Policy};
-use super::worker::{self, Live, Mode, Replies, Stream, WorkerParts};
+use super::view::{Live, LoadedView};
+use super::worker::{self, Mode, Replies, Stream, WorkerParts};
 use super::{SessionId, writer};
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
@@ -65,15 +66,6 @@ struct Writer {
     queue: Arc<FrameQueue>,
     ending_soon: CancellationToken,
     served: CancellationToken,
-}
-
-/// How a session in memory is doing.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LoadedView {
-    /// As of its last frame.
-    pub live: Live,
-    /// Whether a writer is connected.
-    pub has_writer: bool,
 }
 
 impl Registry {

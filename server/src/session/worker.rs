@@ -11,6 +11,7 @@ use super::images::CandidateImages;
 use super::load::History;
 use super::queue::{Ending, FrameQueue, Policy};
 use super::recent::RecentAnswers;
+use super::view::Live;
 use super::writer::Outbox;
 use crate::error::{ApiError, ErrorCode};
 use slam::map::FrameState;
@@ -56,25 +57,6 @@ pub struct Stream {
     pub ending_soon: CancellationToken,
     /// Cancelled by the worker when the stream has been served.
     pub served: CancellationToken,
-}
-
-/// How a loaded session is doing, as of its last frame.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Live {
-    /// How tracking the last frame ended, if there was one since the session was loaded.
-    pub state: Option<FrameState>,
-    /// Number and time of the last frame, nanoseconds, if there ever was one.
-    pub last_frame: Option<(u64, i64)>,
-    /// Frames tracked since the session was loaded.
-    pub n_frames: u64,
-    /// Key frames in the map.
-    pub n_keyframes: usize,
-    /// Points in the map.
-    pub n_points: usize,
-    /// Lines in the map.
-    pub n_lines: usize,
-    /// Global primitives in the map.
-    pub n_primitives: usize,
 }
 
 /// What a worker is started with.
