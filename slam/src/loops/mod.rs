@@ -14,6 +14,7 @@ mod tests;
 mod verification;
 
 pub(crate) use correction::{Anchoring, apply_corrections};
+pub use essential_graph::{KeyframeTies, essential_edges};
 
 use crate::config::SlamConfig;
 use crate::continuity;
