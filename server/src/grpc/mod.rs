@@ -4,6 +4,8 @@ mod convert;
 mod stream;
 
 use crate::error::ApiError;
+use crate::options::SessionOptions;
+use crate::page::PageRequest;
 use crate::service::Service;
 use crate::session::SessionId;
 use crate::watch::watch;
@@ -101,9 +103,9 @@ impl SlamService for Handler {
         request: Request<v1::ListSessionsRequest>,
     ) -> Result<Response<v1::ListSessionsResponse>, Status> {
         let v1::ListSessionsRequest { page_size, page_token } = request.into_inner();
-        let page = self.service.list_sessions(page_size, &page_token).await?;
+        let page = self.service.list_sessions(&PageRequest::new(page_size, page_token)?).await?;
         Ok(Response::new(v1::ListSessionsResponse {
-            sessions: page.sessions.iter().map(convert::session).collect(),
+            sessions: page.items.iter().map(convert::session).collect(),
             next_page_token: page.next_page_token.unwrap_or_default(),
         }))
     }
@@ -122,7 +124,7 @@ impl SlamService for Handler {
         request: Request<v1::UpdateSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
         let v1::UpdateSessionRequest { session_id: id, options } = request.into_inner();
-        let options = options.map(convert::session_options).unwrap_or_default();
+        let options = options.map(SessionOptions::from).unwrap_or_default();
         let view = self.service.update_session(&session_id(&id)?, options).await?;
         Ok(Response::new(convert::session(&view)))
     }

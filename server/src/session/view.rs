@@ -1,8 +1,9 @@
 //! A session as callers see it: its row, under what is known of it while it is in memory.
 
+use crate::options::SessionOptions;
 use geometry::CameraParameters;
 use slam::map::FrameState;
-use store::{SessionOptions, SessionRecord};
+use store::SessionRecord;
 
 /// How a loaded session is doing, as of its last frame.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -101,7 +102,7 @@ impl SessionView {
             id,
             camera,
             refined_camera,
-            options,
+            options: options.into(),
             created_at_ns,
             state: last_frame.map(|_| state),
             metres_per_unit,

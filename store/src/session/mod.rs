@@ -108,6 +108,19 @@ impl Store {
         Ok(read_session(&mut reader, id).await?.1)
     }
 
+    /// Metres per map unit of a session; `None` while the scale is free.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn metres_per_unit(&self, id: &str) -> Result<Option<f64>, StoreError> {
+        let mut reader = self.reader().await?;
+        let scale = sqlx::query_scalar("SELECT metres_per_unit FROM sessions WHERE id = ?")
+            .bind(id)
+            .fetch_optional(&mut *reader)
+            .await?;
+        scale.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })
+    }
+
     /// Up to `page_size` sessions whose names come after the given one, in the order of the names' bytes.
     pub async fn list_sessions(
         &self,
