@@ -108,7 +108,7 @@ pub async fn export(
     let message = |part| v1::ExportMapResponse { part: Some(part) };
     let chunks = file.into_chunks().await?.map(move |chunk| {
         let data = chunk.map_err(ApiError::internal)?;
-        Ok(message(Part::Data(data)))
+        Ok::<_, Status>(message(Part::Data(data)))
     });
     Ok(stream::iter([Ok(message(Part::File(head)))]).chain(chunks).boxed())
 }
@@ -121,7 +121,7 @@ fn rows<T: 'static, R: 'static, M: Send + 'static>(
 ) -> Rows<M> {
     let batches = batches.map(move |batch| {
         let rows = batch.map_err(Status::from)?;
-        Ok(message(rows.into_iter().map(row).collect()))
+        Ok::<_, Status>(message(rows.into_iter().map(row).collect()))
     });
     batches.boxed()
 }

@@ -192,9 +192,9 @@ impl Ties {
             submaps.entry(record.submap).or_default().push(ties);
         }
         let pairs: BTreeSet<_> = submaps.values().flat_map(|ties| essential_edges(ties, loops)).collect();
-        let parents: BTreeMap<_, _> =
+        let parents: BTreeMap<KeyframeId, KeyframeId> =
             self.keyframes.iter().filter_map(|record| Some((record.id, record.parent?))).collect();
-        let edge = |(a, b)| {
+        let edge = |(a, b): (KeyframeId, KeyframeId)| {
             let (from, to) = if parents.get(&a) == Some(&b) { (b, a) } else { (a, b) };
             let spanning = Some(parents.get(&to) == Some(&from));
             Edge { spanning, ..Edge::new(from, to, self.shared_by(a, b)) }

@@ -101,3 +101,46 @@ where
     });
     pages.boxed()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    #[tokio::test]
+    async fn rows_are_read_when_they_are_taken() {
+        let n_read = Arc::new(AtomicUsize::new(0));
+        let counter = n_read.clone();
+        let rows = stream::iter(0..100_000).map(move |row| {
+            counter.fetch_add(1, Ordering::SeqCst);
+            Ok::<usize, StoreError>(row)
+        });
+        let mut taken = batches(rows.boxed(), |row| row);
+        assert_eq!(n_read.load(Ordering::SeqCst), 0);
+        for n_batches in 1..4 {
+            let batch = taken.next().await.unwrap().unwrap();
+            assert_eq!(batch.last(), Some(&(n_batches * ROWS_PER_BATCH - 1)));
+            assert_eq!(n_read.load(Ordering::SeqCst), n_batches * ROWS_PER_BATCH);
+        }
+    }
+
+    #[tokio::test]
+    async fn a_failure_takes_its_batch_with_it() {
+        let rows = stream::iter([Ok(1), Err(StoreError::Corrupt("row 2".into()))]);
+        let taken: Vec<Result<Vec<i32>, ApiError>> = batches(rows.boxed(), |row| row).collect().await;
+        assert!(matches!(&taken[..], [Err(error)] if error.message.contains("row 2")), "{taken:?}");
+    }
+
+    #[tokio::test]
+    async fn pages_are_read_to_the_last() {
+        let read = |after: Option<u32>| async move {
+            let first = after.map_or(0, |after| after + 1);
+            let next = (first < 4).then_some(first + 1);
+            Ok(Page { items: vec![first, first + 1], next })
+        };
+        let taken: Vec<_> = batches_of_pages(read, |row| row * 10).collect().await;
+        let rows: Vec<u32> = taken.into_iter().flat_map(|batch| batch.unwrap()).collect();
+        assert_eq!(rows, [0, 10, 20, 30, 40, 50]);
+    }
+}

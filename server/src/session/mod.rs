@@ -17,7 +17,6 @@ mod writer;
 pub use events::{MapChange, SessionEvent};
 pub use frame::{Answer, Before, Encoding, Rejection, Reply, SentFrame, SentImage};
 pub use id::SessionId;
-pub use images::ImageFile;
 pub use load::LoadContext;
 pub use localise::{Located, localise};
 pub use queue::{Closed, Ending, FrameQueue, Policy, Queued};
