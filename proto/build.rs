@@ -16,6 +16,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     tonic_prost_build::configure()
         // Images arrive as slices of the receive buffer instead of being copied out of it.
         .bytes(".monoslam.v1.Image.data")
+        // Files leave as they are read.
+        .bytes(".monoslam.v1.ExportMapResponse.data")
         .compile_fds(files)?;
     Ok(())
 }

@@ -178,6 +178,60 @@ impl SlamService for Server {
         Err(Status::unimplemented("not here"))
     }
 
+    type ListKeyframesStream = ReceiverStream<Result<v1::ListKeyframesResponse, Status>>;
+
+    async fn list_keyframes(
+        &self,
+        _: Request<v1::ListKeyframesRequest>,
+    ) -> Result<Response<Self::ListKeyframesStream>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    type QueryPointsStream = ReceiverStream<Result<v1::QueryPointsResponse, Status>>;
+
+    async fn query_points(
+        &self,
+        _: Request<v1::QueryPointsRequest>,
+    ) -> Result<Response<Self::QueryPointsStream>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    type QueryLinesStream = ReceiverStream<Result<v1::QueryLinesResponse, Status>>;
+
+    async fn query_lines(
+        &self,
+        _: Request<v1::QueryLinesRequest>,
+    ) -> Result<Response<Self::QueryLinesStream>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    type ListPrimitivesStream = ReceiverStream<Result<v1::ListPrimitivesResponse, Status>>;
+
+    async fn list_primitives(
+        &self,
+        _: Request<v1::ListPrimitivesRequest>,
+    ) -> Result<Response<Self::ListPrimitivesStream>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    type GetTrajectoryStream = ReceiverStream<Result<v1::GetTrajectoryResponse, Status>>;
+
+    async fn get_trajectory(
+        &self,
+        _: Request<v1::GetTrajectoryRequest>,
+    ) -> Result<Response<Self::GetTrajectoryStream>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    type ExportMapStream = ReceiverStream<Result<v1::ExportMapResponse, Status>>;
+
+    async fn export_map(
+        &self,
+        _: Request<v1::ExportMapRequest>,
+    ) -> Result<Response<Self::ExportMapStream>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
     async fn stream_frames(
         &self,
         request: Request<Streaming<v1::StreamFramesRequest>>,

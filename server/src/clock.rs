@@ -1,6 +1,6 @@
-//! The machine's clocks, handed to the engine.
+//! The machine's clocks: nothing else of this crate asks for the time of day.
 
-use std::time::Instant;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 /// Wall time from the monotonic clock, CPU time from the calling thread's.
 #[derive(Clone, Copy, Debug)]
@@ -35,6 +35,12 @@ impl slam::Clock for SystemClock {
         }
         time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
     }
+}
+
+/// Wall-clock time, nanoseconds since 1970; 0 on a machine whose clock stands before that.
+pub fn since_1970_ns() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    i64::try_from(since.as_nanos()).unwrap_or(i64::MAX)
 }
 
 #[cfg(test)]

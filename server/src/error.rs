@@ -1,6 +1,7 @@
 //! What goes wrong, once for both interfaces: a code, a sentence for the caller, and a cause for the log.
 
 use axum::http::StatusCode;
+use store::StoreError;
 use tonic::Code;
 
 /// The kinds of error. Their names are stable: clients may match on them.
@@ -216,6 +217,36 @@ impl From<ApiError> for tonic::Status {
         }
         Self::with_error_details(error.code.grpc(), error.message, details)
     }
+}
+
+impl From<StoreError> for ApiError {
+    fn from(error: StoreError) -> Self {
+        let code = match &error {
+            StoreError::SessionNotFound { .. } => ErrorCode::SessionNotFound,
+            StoreError::SessionExists { .. } => ErrorCode::SessionExists,
+            StoreError::OutOfRange { .. } => ErrorCode::InvalidArgument,
+            StoreError::DiskFull(_) => ErrorCode::StorageFull,
+            StoreError::Io(_) | StoreError::Busy(_) => ErrorCode::StorageFailed,
+            StoreError::Corrupt(_) | StoreError::Map(_) | StoreError::OtherSettings(_) => ErrorCode::DataLoss,
+            _ => return Self::internal(with_causes(&error)),
+        };
+        if matches!(code, ErrorCode::StorageFailed | ErrorCode::DataLoss) {
+            let cause = with_causes(&error);
+            tracing::error!(cause, "the database failed: {cause}");
+        }
+        Self::new(code, error.to_string())
+    }
+}
+
+/// An error with what caused it, for the log.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    text
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //!
 //! [`Server::start`] runs a server inside this process, [`Config`] says how, and [`Service`] is what both interfaces
 //! call: the modules [`grpc`] and [`rest`] decode, call it and encode. The sessions themselves live in [`session`],
-//! each on a thread of its own.
+//! each on a thread of its own; what can be asked of their maps stands in [`maps`].
 //!
 //! ```no_run
 //! # async fn example() -> anyhow::Result<()> {
@@ -17,7 +17,11 @@ mod clock;
 mod config;
 mod error;
 pub mod grpc;
+mod ids;
+pub mod maps;
+mod model;
 mod options;
+mod page;
 pub mod rest;
 mod server;
 mod service;
@@ -29,8 +33,12 @@ mod watch;
 pub use clock::SystemClock;
 pub use config::{Config, ConfigArgs, Limits, LogFormat, SessionConfig};
 pub use error::{ApiError, ErrorCode, FieldViolation};
+pub use model::{Camera, Model, Pose, Scale, State, Units};
+pub use options::SessionOptions;
+pub use page::{DEFAULT_PAGE_SIZE, MAX_PAGE_SIZE, Page, PageRequest};
 pub use server::{DATABASE_FILE, Running, Server, Shutdown, open_store};
-pub use service::{NewSession, Service, SessionList, SessionView};
+pub use service::{NewSession, Service};
+pub use session::SessionView;
 pub use shutdown::requested as shutdown_requested;
 pub use telemetry::start_log;
 pub use watch::{Watched, watch};

@@ -1,8 +1,95 @@
-//! From what a client asks of a session to what the engine runs with.
+//! What a client asks of a session, and what the engine runs with then.
 
 use crate::error::{ApiError, ErrorCode, FieldViolation};
+use serde::{Deserialize, Serialize};
 use slam::{FeatureSwitches, SlamConfig, Threading};
-use store::SessionOptions;
+use utoipa::ToSchema;
+
+/// What a session runs with; every field left out takes the server's default.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(default, deny_unknown_fields)]
+#[schema(as = Options)]
+pub struct SessionOptions {
+    /// Same frames and seed, same bytes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub deterministic: Option<bool>,
+    /// Seed of every random choice.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// Features asked of the extractor per frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub n_features: Option<u32>,
+    /// Whether points are used.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub points: Option<bool>,
+    /// Whether lines are used.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lines: Option<bool>,
+    /// Whether global primitives are used.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub global_primitives: Option<bool>,
+    /// Whether loops are closed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub loop_closing: Option<bool>,
+    /// Whether the calibration is put right as the map grows.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refine_calibration: Option<bool>,
+    /// Most key frames the session keeps.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_keyframes: Option<u32>,
+}
+
+/// Conversion between two types with a field for each option. Naming each makes the compiler see when one is added.
+macro_rules! convert_options {
+    ($from:path => $to:path) => {
+        impl From<$from> for $to {
+            fn from(options: $from) -> Self {
+                let $from {
+                    deterministic,
+                    seed,
+                    n_features,
+                    points,
+                    lines,
+                    global_primitives,
+                    loop_closing,
+                    refine_calibration,
+                    max_keyframes,
+                } = options;
+                Self {
+                    deterministic,
+                    seed,
+                    n_features,
+                    points,
+                    lines,
+                    global_primitives,
+                    loop_closing,
+                    refine_calibration,
+                    max_keyframes,
+                }
+            }
+        }
+    };
+}
+convert_options!(SessionOptions => store::SessionOptions);
+convert_options!(store::SessionOptions => SessionOptions);
+pub(crate) use convert_options;
+
+impl SessionOptions {
+    /// These options with those that are given in `changes`.
+    pub fn changed(self, changes: Self) -> Self {
+        Self {
+            deterministic: changes.deterministic.or(self.deterministic),
+            seed: changes.seed.or(self.seed),
+            n_features: changes.n_features.or(self.n_features),
+            points: changes.points.or(self.points),
+            lines: changes.lines.or(self.lines),
+            global_primitives: changes.global_primitives.or(self.global_primitives),
+            loop_closing: changes.loop_closing.or(self.loop_closing),
+            refine_calibration: changes.refine_calibration.or(self.refine_calibration),
+            max_keyframes: changes.max_keyframes.or(self.max_keyframes),
+        }
+    }
+}
 
 /// The engine's configuration for these options.
 ///

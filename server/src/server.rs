@@ -79,6 +79,11 @@ impl Running {
         &self.service
     }
 
+    /// The database, for who looks after it; clients are answered by [`Self::service`].
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+
     /// Stops accepting, ends the streams, waits until every session is saved, and closes the database, all within
     /// the configured grace period.
     pub async fn shutdown(self) -> Shutdown {

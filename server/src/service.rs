@@ -2,23 +2,19 @@
 
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
-use crate::options::engine_config;
+use crate::maps::MapQueries;
+use crate::options::{SessionOptions, engine_config};
+use crate::page::{MAX_PAGE_SIZE, Page, PageRequest};
 use crate::session::{
-    self, FrameQueue, LoadContext, LoadedView, Located, OpenRequest, Registry, Replies, Reply, SentImage,
-    SessionId,
+    self, FrameQueue, LoadContext, Located, OpenRequest, Registry, Replies, Reply, SentImage, SessionId,
+    SessionView,
 };
 use geometry::{Camera, CameraParameters};
-use slam::map::FrameState;
 use std::sync::Arc;
 use std::time::Duration;
-use std::time::{SystemTime, UNIX_EPOCH};
-use store::{SessionChanges, SessionOptions, SessionRecord, Store, StoreError};
+use store::{SessionChanges, SessionRecord, Store};
 use tokio::sync::Semaphore;
 
-/// Sessions or rows on a page if the caller does not say.
-pub const DEFAULT_PAGE_SIZE: u32 = 100;
-/// Sessions or rows on a page at most.
-pub const MAX_PAGE_SIZE: u32 = 1000;
 /// Smallest image side the front end can use, pixels.
 const MIN_IMAGE_PX: (u32, u32) = (160, 120);
 /// Largest image, pixels: what the memory of a session is sized for.
@@ -34,6 +30,7 @@ const METRES_PER_UNIT: std::ops::RangeInclusive<f64> = 1e-6..=1e9;
 pub struct Service {
     config: Arc<Config>,
     store: Store,
+    maps: MapQueries,
     registry: Registry,
     /// Sessions there are. Held while one is made, so that two at once cannot pass the limit.
     n_sessions: tokio::sync::Mutex<u64>,
@@ -52,56 +49,6 @@ pub struct NewSession {
     pub options: SessionOptions,
 }
 
-/// A session, as stored and as it is in memory.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SessionView {
-    /// Its name.
-    pub id: String,
-    /// Its camera, as it was given.
-    pub camera: CameraParameters,
-    /// Its camera as it was found to be; `None` while it is used as it was given.
-    pub refined_camera: Option<CameraParameters>,
-    /// What it runs with.
-    pub options: SessionOptions,
-    /// Wall-clock time of creation, nanoseconds since 1970.
-    pub created_at_ns: i64,
-    /// How tracking its last frame ended; `None` before the first.
-    pub state: Option<FrameState>,
-    /// Metres per map unit; `None` while the scale is free.
-    pub metres_per_unit: Option<f64>,
-    /// Frames of the trajectory.
-    pub n_frames: u64,
-    /// Key frames.
-    pub n_keyframes: u64,
-    /// Points.
-    pub n_points: u64,
-    /// Lines.
-    pub n_lines: u64,
-    /// Global primitives.
-    pub n_primitives: u64,
-    /// Submaps that have key frames.
-    pub n_submaps: u32,
-    /// Every frame up to this one is in the database.
-    pub durable_sequence: Option<u64>,
-    /// The frame the server expects next.
-    pub next_sequence: u64,
-    /// Time of the last frame, nanoseconds: later ones must be after it. `None` before the first.
-    pub last_timestamp_ns: Option<i64>,
-    /// Whether the session is in memory.
-    pub loaded: bool,
-    /// Whether a writer is connected.
-    pub has_writer: bool,
-}
-
-/// Some sessions in the order of their ids.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SessionList {
-    /// The sessions.
-    pub sessions: Vec<SessionView>,
-    /// Where the next page begins; `None` on the last.
-    pub next_page_token: Option<String>,
-}
-
 impl Service {
     /// A service over a database.
     ///
@@ -111,7 +58,8 @@ impl Service {
         let registry = Registry::new(config.clone(), store.clone());
         let n_sessions = tokio::sync::Mutex::new(count_sessions(&store).await?);
         let localisations = Semaphore::new(config.sessions.n_localisations);
-        Ok(Self { config, store, registry, n_sessions, localisations })
+        let maps = MapQueries::new(store.clone(), config.data_dir.clone());
+        Ok(Self { config, store, maps, registry, n_sessions, localisations })
     }
 
     /// What it runs with.
@@ -119,9 +67,9 @@ impl Service {
         &self.config
     }
 
-    /// The database.
-    pub fn store(&self) -> &Store {
-        &self.store
+    /// What can be asked of maps.
+    pub fn maps(&self) -> &MapQueries {
+        &self.maps
     }
 
     /// The sessions in memory.
@@ -147,10 +95,10 @@ impl Service {
             return Err(ApiError::new(ErrorCode::TooManySessions, sentence));
         }
         let id = id.unwrap_or_else(SessionId::generate);
-        let created_at_ns =
-            SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64);
+        let created_at_ns = crate::clock::since_1970_ns();
         let camera = camera.parameters().clone();
-        let new = store::NewSession { id: id.as_str().to_owned(), camera, options, created_at_ns };
+        let (id_text, options) = (id.as_str().to_owned(), options.into());
+        let new = store::NewSession { id: id_text, camera, options, created_at_ns };
         let record = self.store.create_session(&new).await?;
         *n_sessions += 1;
         tracing::info!(session.id = %id, "session {id} was made");
@@ -165,20 +113,15 @@ impl Service {
         Ok(self.view(self.store.get_session(id.as_str()).await?))
     }
 
-    /// Sessions in the order of their ids; `page_size` 0 takes the default.
+    /// A page of sessions in the order of their ids.
     ///
     /// # Errors
-    /// If the page token is none of ours or the page too large.
-    pub async fn list_sessions(&self, page_size: u32, page_token: &str) -> Result<SessionList, ApiError> {
-        let page_size = checked_page_size(page_size)?;
-        if !page_token.is_empty() {
-            // A token is the last id of the page before.
-            SessionId::parse(page_token, "page_token")?;
-        }
-        let after = Some(page_token).filter(|token| !token.is_empty());
-        let page = self.store.list_sessions(after, page_size).await?;
-        let sessions = page.sessions.into_iter().map(|record| self.view(record)).collect();
-        Ok(SessionList { sessions, next_page_token: page.next })
+    /// If the page token is none of ours.
+    pub async fn list_sessions(&self, page: &PageRequest) -> Result<Page<SessionView>, ApiError> {
+        // A token is the last id of the page before.
+        let after = page.token().map(|token| SessionId::parse(token, "page_token")).transpose()?;
+        let sessions = self.store.list_sessions(after.as_ref().map(SessionId::as_str), page.size()).await?;
+        Ok(Page::of(sessions, |record| self.view(record)))
     }
 
     /// Deletes a session with its map.
@@ -207,10 +150,10 @@ impl Service {
         self.registry.check_open()?;
         self.store.get_session(id.as_str()).await?;
         let change = async {
-            let before = self.store.get_session(id.as_str()).await?.options;
-            let options = merged(before, options);
+            let before = SessionOptions::from(self.store.get_session(id.as_str()).await?.options);
+            let options = before.changed(options);
             engine_config(&options)?;
-            let changes = SessionChanges { options: Some(options), ..SessionChanges::default() };
+            let changes = SessionChanges { options: Some(options.into()), ..SessionChanges::default() };
             Ok(self.store.update_session(id.as_str(), &changes).await?)
         };
         let record = self.registry.change(id, change).await?;
@@ -295,69 +238,7 @@ impl Service {
 
     fn view(&self, record: SessionRecord) -> SessionView {
         let loaded = SessionId::parse(&record.id, "id").ok().and_then(|id| self.registry.view(&id));
-        let refined_camera = record.refined_camera();
-        let SessionRecord {
-            id,
-            camera,
-            correction: _,
-            options,
-            created_at_ns,
-            state,
-            metres_per_unit,
-            last_frame,
-            counts,
-        } = record;
-        let durable_sequence = last_frame.map(|(sequence, _)| sequence);
-        let mut view = SessionView {
-            id,
-            camera,
-            refined_camera,
-            options,
-            created_at_ns,
-            state: last_frame.map(|_| state),
-            metres_per_unit,
-            n_frames: counts.n_frames,
-            n_keyframes: counts.n_keyframes,
-            n_points: counts.n_points,
-            n_lines: counts.n_lines,
-            n_primitives: counts.n_primitives,
-            n_submaps: counts.n_submaps,
-            durable_sequence,
-            next_sequence: durable_sequence.map_or(0, |sequence| sequence.saturating_add(1)),
-            last_timestamp_ns: last_frame.map(|(_, timestamp_ns)| timestamp_ns),
-            loaded: loaded.is_some(),
-            has_writer: false,
-        };
-        if let Some(LoadedView { live, has_writer }) = loaded {
-            view.has_writer = has_writer;
-            view.state = live.state.or(view.state);
-            if let Some((sequence, timestamp_ns)) = live.last_frame {
-                view.next_sequence = view.next_sequence.max(sequence.saturating_add(1));
-                view.last_timestamp_ns = view.last_timestamp_ns.max(Some(timestamp_ns));
-            }
-            if live.state.is_some() {
-                view.n_keyframes = live.n_keyframes as u64;
-                view.n_points = live.n_points as u64;
-                view.n_lines = live.n_lines as u64;
-                view.n_primitives = live.n_primitives as u64;
-            }
-        }
-        view
-    }
-}
-
-/// Options with some of them changed.
-fn merged(before: SessionOptions, changes: SessionOptions) -> SessionOptions {
-    SessionOptions {
-        deterministic: changes.deterministic.or(before.deterministic),
-        seed: changes.seed.or(before.seed),
-        n_features: changes.n_features.or(before.n_features),
-        points: changes.points.or(before.points),
-        lines: changes.lines.or(before.lines),
-        global_primitives: changes.global_primitives.or(before.global_primitives),
-        loop_closing: changes.loop_closing.or(before.loop_closing),
-        refine_calibration: changes.refine_calibration.or(before.refine_calibration),
-        max_keyframes: changes.max_keyframes.or(before.max_keyframes),
+        SessionView::of(record, loaded)
     }
 }
 
@@ -365,24 +246,10 @@ async fn count_sessions(store: &Store) -> Result<u64, ApiError> {
     let (mut n_sessions, mut after) = (0, None);
     loop {
         let page = store.list_sessions(after.as_deref(), MAX_PAGE_SIZE).await?;
-        n_sessions += page.sessions.len() as u64;
+        n_sessions += page.items.len() as u64;
         after = page.next;
         if after.is_none() {
             return Ok(n_sessions);
-        }
-    }
-}
-
-/// The size of a page, with its default.
-///
-/// # Errors
-/// If it is too large.
-pub fn checked_page_size(page_size: u32) -> Result<u32, ApiError> {
-    match page_size {
-        0 => Ok(DEFAULT_PAGE_SIZE),
-        1..=MAX_PAGE_SIZE => Ok(page_size),
-        _ => {
-            Err(ApiError::invalid("page_size", format!("is {page_size} but must be at most {MAX_PAGE_SIZE}")))
         }
     }
 }
@@ -408,34 +275,4 @@ fn check_image_size(camera: &CameraParameters, max_pixels: u64) -> Result<(), Ap
         ));
     }
     Ok(())
-}
-
-impl From<StoreError> for ApiError {
-    fn from(error: StoreError) -> Self {
-        let code = match &error {
-            StoreError::SessionNotFound { .. } => ErrorCode::SessionNotFound,
-            StoreError::SessionExists { .. } => ErrorCode::SessionExists,
-            StoreError::OutOfRange { .. } => ErrorCode::InvalidArgument,
-            StoreError::DiskFull(_) => ErrorCode::StorageFull,
-            StoreError::Io(_) | StoreError::Busy(_) => ErrorCode::StorageFailed,
-            StoreError::Corrupt(_) | StoreError::Map(_) | StoreError::OtherSettings(_) => ErrorCode::DataLoss,
-            _ => return Self::internal(with_causes(&error)),
-        };
-        if matches!(code, ErrorCode::StorageFailed | ErrorCode::DataLoss) {
-            let cause = with_causes(&error);
-            tracing::error!(cause, "the database failed: {cause}");
-        }
-        Self::new(code, error.to_string())
-    }
-}
-
-/// An error with what caused it, for the log.
-fn with_causes(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        text = format!("{text}: {error}");
-        cause = error.source();
-    }
-    text
 }

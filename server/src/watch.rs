@@ -1,8 +1,8 @@
 //! Watching a session: its state first, then what happens.
 
 use crate::error::ApiError;
-use crate::service::{Service, SessionView};
-use crate::session::{SessionEvent, SessionId};
+use crate::service::Service;
+use crate::session::{SessionEvent, SessionId, SessionView};
 use std::sync::Arc;
 use tokio::sync::{broadcast, mpsc};
 

@@ -33,6 +33,7 @@ pub use config::{
     Threading, TrackingConfig,
 };
 pub use input::{Frame, FrameError, ResumeError, ResumeState};
+pub use loops::{KeyframeTies, essential_edges};
 pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::Pipeline;
 pub use report::{

@@ -3,7 +3,7 @@
 use crate::number::{from_column, from_column_u32, keyframe_column, keyframe_id, submap_id};
 use crate::pose::read_pose;
 use crate::session::session_number;
-use crate::{Store, StoreError};
+use crate::{Page, Store, StoreError};
 use geometry::Pose;
 use slam::map::{KeyframeId, SubmapId};
 use sqlx::sqlite::SqliteRow;
@@ -36,15 +36,6 @@ pub struct KeyframeRecord {
     pub has_image: bool,
 }
 
-/// Some key frames in the order of their ids.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct KeyframePage {
-    /// The key frames.
-    pub keyframes: Vec<KeyframeRecord>,
-    /// Pass this as `after` for the next page; `None` on the last one.
-    pub next: Option<KeyframeId>,
-}
-
 /// The image of a key frame as it was received.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StoredImage {
@@ -69,13 +60,10 @@ impl Store {
         session: &str,
         after: Option<KeyframeId>,
         page_size: u32,
-    ) -> Result<KeyframePage, StoreError> {
+    ) -> Result<Page<KeyframeRecord, KeyframeId>, StoreError> {
         let first = after.map(keyframe_column).transpose()?.unwrap_or(0).saturating_add(1);
-        let mut keyframes = self.select_keyframes(session, first, i64::MAX, i64::from(page_size) + 1).await?;
-        let has_more = keyframes.len() > page_size as usize;
-        keyframes.truncate(page_size as usize);
-        let next = keyframes.last().filter(|_| has_more).map(|last| last.id);
-        Ok(KeyframePage { keyframes, next })
+        let keyframes = self.select_keyframes(session, first, i64::MAX, i64::from(page_size) + 1).await?;
+        Ok(Page::of(keyframes, page_size, |last| last.id))
     }
 
     /// One key frame; `None` if the session has none with this id, or no longer.

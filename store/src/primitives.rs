@@ -3,7 +3,7 @@
 use crate::blob::{decode_covariance, decode_observations};
 use crate::number::{from_column, keyframe_id, primitive_id, submap_id, to_column};
 use crate::session::session_number;
-use crate::{Store, StoreError};
+use crate::{Page, Store, StoreError};
 use geometry::Direction;
 use nalgebra::Vector3;
 use slam::map::{GlobalPrimitive, PrimitiveId, PrimitiveObservation, SubmapId};
@@ -17,15 +17,6 @@ pub struct PrimitiveRecord {
     pub primitive: GlobalPrimitive,
     /// Lines that have its direction.
     pub n_lines: u64,
-}
-
-/// Some primitives in the order of their ids.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PrimitivePage {
-    /// The primitives.
-    pub primitives: Vec<PrimitiveRecord>,
-    /// Pass this as `after` for the next page; `None` on the last one.
-    pub next: Option<PrimitiveId>,
 }
 
 /// The columns of a primitive after its session, in the order [`parse_primitive`] expects.
@@ -43,7 +34,7 @@ impl Store {
         submap: Option<SubmapId>,
         after: Option<PrimitiveId>,
         page_size: u32,
-    ) -> Result<PrimitivePage, StoreError> {
+    ) -> Result<Page<PrimitiveRecord, PrimitiveId>, StoreError> {
         let sql = format!(
             "SELECT {PRIMITIVE_COLUMNS},
                  (SELECT count(*) FROM lines l WHERE l.session = p.session AND l.primitive = p.id)
@@ -58,11 +49,8 @@ impl Store {
             .bind(i64::from(page_size) + 1)
             .fetch_all(&mut *reader)
             .await?;
-        let mut primitives = rows.iter().map(parse_record).collect::<Result<Vec<_>, _>>()?;
-        let has_more = primitives.len() > page_size as usize;
-        primitives.truncate(page_size as usize);
-        let next = primitives.last().filter(|_| has_more).map(|last| last.primitive.id);
-        Ok(PrimitivePage { primitives, next })
+        let primitives = rows.iter().map(parse_record).collect::<Result<Vec<_>, _>>()?;
+        Ok(Page::of(primitives, page_size, |last| last.primitive.id))
     }
 
     /// One primitive; `None` if the session has none with this id, or no longer.

@@ -60,7 +60,7 @@ async fn map_room() -> TempDir {
 
 /// Fingerprints of what belongs to the map, without the trajectory and the session's row.
 async fn map_digest(server: &TestServer) -> Vec<TableDigest> {
-    let digest = server.running().service().store().digest("room").await.unwrap();
+    let digest = server.running().store().digest("room").await.unwrap();
     digest.0.into_iter().filter(|table| !["sessions", "frames"].contains(&table.table)).collect()
 }
 
@@ -221,7 +221,7 @@ fn check_tracks(images: &[String], points: &[String]) {
 async fn one_image_is_located_without_a_trace_also_beside_a_writer() {
     let world = SmallWorld::new(1);
     let (server, mut client) = mapped_room().await;
-    let before = server.running().service().store().digest("room").await.unwrap();
+    let before = server.running().store().digest("room").await.unwrap();
     let i = N_FRAMES - 10;
     let image = world.frame(i).image;
     let request = || v1::LocalizeRequest { session_id: "room".into(), image: image.clone() };
@@ -254,11 +254,7 @@ async fn one_image_is_located_without_a_trace_also_beside_a_writer() {
     assert_eq!(answer["n_inlier_points"].as_u64(), Some(located.n_inlier_points.into()), "{answer}");
     assert_eq!(answer["world_from_camera"]["tx"].as_f64(), Some(found.tx), "the same image, the same answer");
     stream.finish().await.unwrap();
-    assert_eq!(
-        server.running().service().store().digest("room").await.unwrap(),
-        before,
-        "something was stored"
-    );
+    assert_eq!(server.running().store().digest("room").await.unwrap(), before, "something was stored");
 
     // A place that is not in the map is an answer; what is no image is not.
     let grey = tests::png(480, 360, &[90; 480 * 360]).data;
@@ -293,7 +289,7 @@ async fn streams_that_only_localize_leave_every_table_of_the_map_as_it_is() {
     let n_located = stream_frames(stream, &world, N_FRAMES..N_FRAMES + 20).await;
     assert!(n_located > 10, "only {n_located} of 20 frames were located");
     assert_eq!(map_digest(&server).await, before);
-    let problems = server.running().service().store().check().await.unwrap();
+    let problems = server.running().store().check().await.unwrap();
     assert!(problems.is_empty(), "{problems:?}");
 }
 

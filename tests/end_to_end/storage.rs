@@ -94,6 +94,6 @@ async fn a_full_disk_ends_the_stream_with_a_clear_error_and_loses_nothing_that_w
     let durable = session["durable_sequence"].as_u64();
     assert!(durable >= promised, "{durable:?} is saved, {promised:?} was promised");
     assert_eq!(session["n_frames"].as_u64(), durable.map(|sequence| sequence + 1));
-    let problems = server.running().service().store().check().await.unwrap();
+    let problems = server.running().store().check().await.unwrap();
     assert!(problems.is_empty(), "{problems:?}");
 }

@@ -130,7 +130,7 @@ async fn deterministic_sessions_give_the_same_database_each_time() {
         let mut stream = FrameStream::open(&mut client, open_message("room")).await.unwrap();
         stream_frames(&mut stream, (0..30).map(|i| world.frame(i)).collect()).await;
         stream.finish().await.unwrap();
-        digests.push(server.running().service().store().digest("room").await.unwrap());
+        digests.push(server.running().store().digest("room").await.unwrap());
     }
     assert_eq!(digests[0], digests[1]);
 }

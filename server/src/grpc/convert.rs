@@ -1,27 +1,29 @@
 //! Between the messages of the contract and the service's types.
 
 use crate::error::{ApiError, ErrorCode, FieldViolation};
-use crate::service::{NewSession, SessionView};
+use crate::model::{Pose, Scale, Units};
+use crate::options::{SessionOptions, convert_options};
+use crate::service::NewSession;
 use crate::session::{
     Answer, Before, Encoding, Located, MapChange, Mode, OpenRequest, Policy, Rejection, Reply, SentFrame,
-    SentImage, SessionEvent, SessionId,
+    SentImage, SessionEvent, SessionId, SessionView,
 };
 use crate::watch::Watched;
-use geometry::{CameraModel, CameraParameters, PinholeCorrection, Pose};
+use geometry::{CameraModel, CameraParameters, PinholeCorrection};
 use proto::v1;
 use proto::v1::session_event::Event;
 use proto::v1::stream_frames_response::Message;
 use slam::FrameReport;
 use slam::map::{FrameState, KeyframeId};
 use std::time::Instant;
-use store::{MAX_SEQUENCE, SessionOptions};
+use store::MAX_SEQUENCE;
 use vision::decode::PixelFormat;
 
 pub(super) fn new_session(request: v1::CreateSessionRequest) -> Result<NewSession, ApiError> {
     let v1::CreateSessionRequest { session_id, camera, options } = request;
     let id = if session_id.is_empty() { None } else { Some(SessionId::parse(&session_id, "session_id")?) };
     let camera = camera.ok_or_else(|| ApiError::invalid("camera", "a session needs a camera"))?;
-    let options = options.map(session_options).unwrap_or_default();
+    let options = options.map(SessionOptions::from).unwrap_or_default();
     Ok(NewSession { id, camera: camera_parameters(camera)?, options })
 }
 
@@ -40,30 +42,8 @@ fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, ApiError> {
     Ok(CameraParameters { model, width, height, fx, fy, cx, cy, distortion })
 }
 
-pub(super) fn session_options(options: v1::SessionOptions) -> SessionOptions {
-    let v1::SessionOptions {
-        deterministic,
-        seed,
-        n_features,
-        points,
-        lines,
-        global_primitives,
-        loop_closing,
-        refine_calibration,
-        max_keyframes,
-    } = options;
-    SessionOptions {
-        deterministic,
-        seed,
-        n_features,
-        points,
-        lines,
-        global_primitives,
-        loop_closing,
-        refine_calibration,
-        max_keyframes,
-    }
-}
+convert_options!(v1::SessionOptions => SessionOptions);
+convert_options!(SessionOptions => v1::SessionOptions);
 
 pub(super) fn located(located: &Located) -> v1::LocalizeResponse {
     let Located { report, metres_per_unit, durable_sequence, load_ns, locate_ns } = located;
@@ -137,7 +117,7 @@ pub(super) fn session(view: &SessionView) -> v1::Session {
     v1::Session {
         id: view.id.clone(),
         camera: Some(camera(&view.camera)),
-        options: Some(options(&view.options)),
+        options: Some(view.options.clone().into()),
         created_at_ns: view.created_at_ns,
         state: view.state.map_or(v1::TrackingState::Unspecified, tracking_state).into(),
         n_frames: view.n_frames,
@@ -167,32 +147,7 @@ fn camera(camera: &CameraParameters) -> v1::Camera {
     v1::Camera { model: model.into(), width, height, fx, fy, cx, cy, distortion: distortion.clone() }
 }
 
-fn options(options: &SessionOptions) -> v1::SessionOptions {
-    let SessionOptions {
-        deterministic,
-        seed,
-        n_features,
-        points,
-        lines,
-        global_primitives,
-        loop_closing,
-        refine_calibration,
-        max_keyframes,
-    } = *options;
-    v1::SessionOptions {
-        deterministic,
-        seed,
-        n_features,
-        points,
-        lines,
-        global_primitives,
-        loop_closing,
-        refine_calibration,
-        max_keyframes,
-    }
-}
-
-fn tracking_state(state: FrameState) -> v1::TrackingState {
+pub(super) fn tracking_state(state: FrameState) -> v1::TrackingState {
     match state {
         FrameState::Initialising => v1::TrackingState::Initialising,
         FrameState::Tracked => v1::TrackingState::Tracked,
@@ -310,6 +265,7 @@ fn repeated(
     before: Option<&Before>,
     metres_per_unit: Option<f64>,
 ) -> v1::FrameResult {
+    let units = Units::new(metres_per_unit);
     match before {
         Some(Before::Recent(report)) => frame_result(report, metres_per_unit),
         Some(Before::Stored(frame)) => v1::FrameResult {
@@ -319,8 +275,8 @@ fn repeated(
             pose_world_from_camera: frame
                 .world_from_camera
                 .as_ref()
-                .map(|(_, world_from_camera)| pose(world_from_camera, metres_per_unit)),
-            scale: scale_kind(metres_per_unit).into(),
+                .map(|(_, world_from_camera)| pose(units.pose(world_from_camera))),
+            scale: scale(units.scale()).into(),
             submap_id: frame.world_from_camera.map_or(0, |(submap, _)| submap.0),
             ..v1::FrameResult::default()
         },
@@ -334,13 +290,14 @@ fn repeated(
 }
 
 fn frame_result(report: &FrameReport, metres_per_unit: Option<f64>) -> v1::FrameResult {
+    let units = Units::new(metres_per_unit);
     v1::FrameResult {
         sequence: report.sequence,
         timestamp_ns: report.timestamp_ns,
         state: tracking_state(report.outcome.state()).into(),
         reason: report.outcome.reason(),
-        pose_world_from_camera: report.world_from_camera.as_ref().map(|camera| pose(camera, metres_per_unit)),
-        scale: scale_kind(metres_per_unit).into(),
+        pose_world_from_camera: report.world_from_camera.as_ref().map(|camera| pose(units.pose(camera))),
+        scale: scale(units.scale()).into(),
         submap_id: report.submap.0,
         n_inlier_points: report.n_inlier_points as u32,
         n_inlier_lines: report.n_inlier_lines as u32,
@@ -371,14 +328,16 @@ fn correction(event: &slam::MapEvent) -> v1::MapCorrection {
     }
 }
 
-fn scale_kind(metres_per_unit: Option<f64>) -> v1::ScaleKind {
-    if metres_per_unit.is_some() { v1::ScaleKind::Metric } else { v1::ScaleKind::UpToScale }
+pub(super) fn scale(scale: Scale) -> v1::ScaleKind {
+    match scale {
+        Scale::UpToScale => v1::ScaleKind::UpToScale,
+        Scale::Metric => v1::ScaleKind::Metric,
+    }
 }
 
-/// A pose on the wire, in metres where it is known what they are.
-fn pose(pose: &Pose, metres_per_unit: Option<f64>) -> v1::Pose {
-    let (t, q) = (pose.translation * metres_per_unit.unwrap_or(1.0), pose.rotation.quaternion());
-    v1::Pose { tx: t.x, ty: t.y, tz: t.z, qx: q.i, qy: q.j, qz: q.k, qw: q.w }
+pub(super) fn pose(pose: Pose) -> v1::Pose {
+    let Pose { tx, ty, tz, qx, qy, qz, qw } = pose;
+    v1::Pose { tx, ty, tz, qx, qy, qz, qw }
 }
 
 fn ms(nanoseconds: u64) -> f64 {

@@ -1,9 +1,12 @@
 //! The gRPC skin: decode, call the service, encode.
 
 mod convert;
+mod maps;
 mod stream;
 
 use crate::error::ApiError;
+use crate::options::SessionOptions;
+use crate::page::PageRequest;
 use crate::service::Service;
 use crate::session::SessionId;
 use crate::watch::watch;
@@ -101,9 +104,9 @@ impl SlamService for Handler {
         request: Request<v1::ListSessionsRequest>,
     ) -> Result<Response<v1::ListSessionsResponse>, Status> {
         let v1::ListSessionsRequest { page_size, page_token } = request.into_inner();
-        let page = self.service.list_sessions(page_size, &page_token).await?;
+        let page = self.service.list_sessions(&PageRequest::new(page_size, page_token)?).await?;
         Ok(Response::new(v1::ListSessionsResponse {
-            sessions: page.sessions.iter().map(convert::session).collect(),
+            sessions: page.items.iter().map(convert::session).collect(),
             next_page_token: page.next_page_token.unwrap_or_default(),
         }))
     }
@@ -122,7 +125,7 @@ impl SlamService for Handler {
         request: Request<v1::UpdateSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
         let v1::UpdateSessionRequest { session_id: id, options } = request.into_inner();
-        let options = options.map(convert::session_options).unwrap_or_default();
+        let options = options.map(SessionOptions::from).unwrap_or_default();
         let view = self.service.update_session(&session_id(&id)?, options).await?;
         Ok(Response::new(convert::session(&view)))
     }
@@ -164,6 +167,60 @@ impl SlamService for Handler {
         let events = ReceiverStream::new(watch(self.service.clone(), id).await?);
         let events = events.map(|event| event.map(convert::session_event).map_err(Status::from));
         Ok(Response::new(Box::pin(events)))
+    }
+
+    type ListKeyframesStream = maps::Rows<v1::ListKeyframesResponse>;
+
+    async fn list_keyframes(
+        &self,
+        request: Request<v1::ListKeyframesRequest>,
+    ) -> Result<Response<Self::ListKeyframesStream>, Status> {
+        Ok(Response::new(maps::keyframes(self.service.maps(), request.into_inner()).await?))
+    }
+
+    type QueryPointsStream = maps::Rows<v1::QueryPointsResponse>;
+
+    async fn query_points(
+        &self,
+        request: Request<v1::QueryPointsRequest>,
+    ) -> Result<Response<Self::QueryPointsStream>, Status> {
+        Ok(Response::new(maps::points(self.service.maps(), request.into_inner()).await?))
+    }
+
+    type QueryLinesStream = maps::Rows<v1::QueryLinesResponse>;
+
+    async fn query_lines(
+        &self,
+        request: Request<v1::QueryLinesRequest>,
+    ) -> Result<Response<Self::QueryLinesStream>, Status> {
+        Ok(Response::new(maps::lines(self.service.maps(), request.into_inner()).await?))
+    }
+
+    type ListPrimitivesStream = maps::Rows<v1::ListPrimitivesResponse>;
+
+    async fn list_primitives(
+        &self,
+        request: Request<v1::ListPrimitivesRequest>,
+    ) -> Result<Response<Self::ListPrimitivesStream>, Status> {
+        Ok(Response::new(maps::primitives(self.service.maps(), request.into_inner()).await?))
+    }
+
+    type GetTrajectoryStream = maps::Rows<v1::GetTrajectoryResponse>;
+
+    async fn get_trajectory(
+        &self,
+        request: Request<v1::GetTrajectoryRequest>,
+    ) -> Result<Response<Self::GetTrajectoryStream>, Status> {
+        Ok(Response::new(maps::trajectory(self.service.maps(), request.into_inner()).await?))
+    }
+
+    type ExportMapStream = maps::Rows<v1::ExportMapResponse>;
+
+    async fn export_map(
+        &self,
+        request: Request<v1::ExportMapRequest>,
+    ) -> Result<Response<Self::ExportMapStream>, Status> {
+        Ok(Response::new(maps::export(self.service.maps(), request.into_inner()).await?))
     }
 
     type StreamFramesStream = stream::Answers;

@@ -1,9 +1,9 @@
 //! What happens in a session, as server-sent events.
 
-use super::model::{Pose, Scale, Session, State as TrackingState};
-use super::units::Units;
+use super::model::Session;
 use super::{App, Problem};
 use crate::error::ApiError;
+use crate::model::{Pose, Scale, State as TrackingState, Units};
 use crate::session::{MapChange, SessionEvent, SessionId};
 use crate::watch::{Watched, watch};
 use axum::extract::{Path, State};

@@ -1,12 +1,15 @@
 //! Parts of a request, with errors that name what is wrong.
 
 use crate::error::{ApiError, ErrorCode};
+use crate::page::PageRequest;
 use axum::Json;
 use axum::extract::rejection::JsonRejection;
 use axum::extract::{FromRequest, FromRequestParts, Query, Request};
-use axum::http::StatusCode;
 use axum::http::request::Parts;
+use axum::http::{StatusCode, Uri};
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use utoipa::IntoParams;
 
 /// A JSON body.
 pub struct Body<T>(pub T);
@@ -41,6 +44,45 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Params<T> {
             Err(rejection) => Err(ApiError::invalid("query", rejection.body_text())),
         }
     }
+}
+
+/// The part of the address after the question mark, of a list: which page of it, and the conditions.
+pub struct Paged<T>(pub PageRequest, pub T);
+
+/// Which page.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct PageParams {
+    /// Entries on the page, at most 1000; 0 means 100.
+    page_size: u32,
+    /// `next_page_token` of the page before.
+    page_token: String,
+}
+
+/// A list that is not asked anything but the page.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NoConditions {}
+
+impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Paged<T> {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, ApiError> {
+        let query = parts.uri.query().unwrap_or_default();
+        let is_of_page = |pair: &&str| pair.starts_with("page_size=") || pair.starts_with("page_token=");
+        // Each half knows its own names only and refuses every other one.
+        let (page, conditions): (Vec<_>, Vec<_>) =
+            query.split('&').filter(|pair| !pair.is_empty()).partition(is_of_page);
+        let PageParams { page_size, page_token } = parse_query(&page)?;
+        Ok(Self(PageRequest::new(page_size, page_token)?, parse_query(&conditions)?))
+    }
+}
+
+fn parse_query<T: DeserializeOwned>(pairs: &[&str]) -> Result<T, ApiError> {
+    let uri = Uri::try_from(format!("/?{}", pairs.join("&"))).map_err(ApiError::internal)?;
+    let parsed = Query::try_from_uri(&uri);
+    parsed.map(|Query(parsed)| parsed).map_err(|rejection| ApiError::invalid("query", rejection.body_text()))
 }
 
 /// Comma-separated finite numbers, exactly `N` of them.

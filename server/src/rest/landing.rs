@@ -2,7 +2,9 @@
 
 use super::App;
 use crate::error::ApiError;
-use crate::service::{MAX_PAGE_SIZE, SessionView};
+use crate::model::State as TrackingState;
+use crate::page::{MAX_PAGE_SIZE, PageRequest};
+use crate::session::SessionView;
 use axum::extract::State;
 use axum::response::Html;
 use std::fmt::Write;
@@ -14,16 +16,16 @@ td,th{text-align:right;padding:.3em .7em;border-bottom:1px solid #ddd}td:first-c
 
 /// The sessions, as a table.
 pub(super) async fn page(State(app): State<App>) -> Result<Html<String>, ApiError> {
-    let list = app.service.list_sessions(MAX_PAGE_SIZE, "").await?;
+    let list = app.service.list_sessions(&PageRequest::new(MAX_PAGE_SIZE, "")?).await?;
     let mut html = HEAD.to_owned();
-    if list.sessions.is_empty() {
+    if list.items.is_empty() {
         html.push_str("<p>No sessions yet.");
         return Ok(Html(html));
     }
     html.push_str(
         "<table><tr><th>session<th>state<th>frames<th>key frames<th>points<th>in memory<th>trajectory",
     );
-    list.sessions.iter().for_each(|session| push_row(&mut html, session));
+    list.items.iter().for_each(|session| push_row(&mut html, session));
     html.push_str("</table>");
     if list.next_page_token.is_some() {
         html.push_str("<p>There are more: see <a href=\"/v1/sessions\">/v1/sessions</a>.");
@@ -34,7 +36,7 @@ pub(super) async fn page(State(app): State<App>) -> Result<Html<String>, ApiErro
 /// Ids are letters, digits, `-` and `_`, so nothing needs escaping.
 fn push_row(html: &mut String, session: &SessionView) {
     let SessionView { id, n_frames, n_keyframes, n_points, .. } = session;
-    let state = session.state.map_or("empty", |state| super::State::from(state).name());
+    let state = session.state.map_or("empty", |state| TrackingState::from(state).name());
     let loaded = if session.has_writer {
         "streaming"
     } else if session.loaded {

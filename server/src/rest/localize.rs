@@ -1,9 +1,8 @@
 //! One image against a stored map.
 
-use super::model::{Pose, Scale, State as TrackingState};
-use super::units::Units;
 use super::{App, Problem};
 use crate::error::{ApiError, ErrorCode};
+use crate::model::{Pose, Scale, State as TrackingState, Units};
 use crate::session::{Encoding, Located, SentImage, SessionId};
 use axum::Json;
 use axum::extract::rejection::BytesRejection;

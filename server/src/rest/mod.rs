@@ -16,7 +16,6 @@ mod problem;
 mod sessions;
 mod system;
 mod trajectory;
-mod units;
 
 use crate::service::Service;
 use axum::Router;
@@ -31,7 +30,8 @@ use utoipa::OpenApi;
 use utoipa_axum::router::{OpenApiRouter, UtoipaMethodRouterExt};
 use utoipa_axum::routes;
 
-pub use model::{Camera, Pose, Session, SessionPage, State};
+pub use crate::model::{Camera, Pose, State};
+pub use model::{Session, SessionPage};
 pub use problem::{Problem, Violation};
 pub use trajectory::{Format, TrajectoryWriter};
 

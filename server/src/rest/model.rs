@@ -1,88 +1,12 @@
-//! The JSON of the HTTP interface. Names are those of the gRPC contract.
+//! The JSON of sessions. Names are those of the gRPC contract.
 
 use crate::error::ApiError;
-use crate::service::{NewSession, SessionView};
-use crate::session::SessionId;
-use geometry::{CameraModel, CameraParameters};
+use crate::model::{Camera, Scale, State};
+use crate::options::SessionOptions;
+use crate::service::NewSession;
+use crate::session::{SessionId, SessionView};
 use serde::{Deserialize, Serialize};
-use slam::map::FrameState;
 use utoipa::ToSchema;
-
-/// A camera's calibration. Lengths are pixels; the origin is the centre of the top-left pixel.
-#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Camera {
-    /// The family of the lens distortion.
-    pub model: Model,
-    /// Image width.
-    #[schema(example = 640)]
-    pub width: u32,
-    /// Image height.
-    #[schema(example = 480)]
-    pub height: u32,
-    /// Horizontal focal length.
-    #[schema(example = 525.0)]
-    pub fx: f64,
-    /// Vertical focal length.
-    #[schema(example = 525.0)]
-    pub fy: f64,
-    /// Principal point, horizontal.
-    #[schema(example = 319.5)]
-    pub cx: f64,
-    /// Principal point, vertical.
-    #[schema(example = 239.5)]
-    pub cy: f64,
-    /// Coefficients of the model: none; `k1 k2 p1 p2 [k3 [k4 k5 k6]]`; `k1 k2 k3 k4`; `omega`.
-    #[serde(default)]
-    pub distortion: Vec<f64>,
-}
-
-/// The families of lens distortion.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Model {
-    /// No distortion.
-    Pinhole,
-    /// Brown-Conrady.
-    Radtan,
-    /// Kannala-Brandt equidistant fisheye.
-    KannalaBrandt,
-    /// Devernay-Faugeras field of view.
-    Fov,
-}
-
-/// What a session runs with; every field left out takes the server's default.
-#[derive(Clone, Debug, Default, Serialize, Deserialize, ToSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Options {
-    /// Same frames and seed, same bytes.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub deterministic: Option<bool>,
-    /// Seed of every random choice.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub seed: Option<u64>,
-    /// Features asked of the extractor per frame.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub n_features: Option<u32>,
-    /// Whether points are used.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub points: Option<bool>,
-    /// Whether lines are used.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lines: Option<bool>,
-    /// Whether global primitives are used.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub global_primitives: Option<bool>,
-    /// Whether loops are closed.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub loop_closing: Option<bool>,
-    /// Whether the calibration is put right as the map grows.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub refine_calibration: Option<bool>,
-    /// Most key frames the session keeps.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub max_keyframes: Option<u32>,
-}
 
 /// A session to be made.
 #[derive(Clone, Debug, Deserialize, ToSchema)]
@@ -95,7 +19,7 @@ pub struct CreateSession {
     pub camera: Camera,
     /// What it runs with.
     #[serde(default)]
-    pub options: Options,
+    pub options: SessionOptions,
 }
 
 /// What to change of a session; what is left out stays.
@@ -103,7 +27,7 @@ pub struct CreateSession {
 #[serde(default, deny_unknown_fields)]
 pub struct UpdateSession {
     /// Options to change. They hold from the session's next stream on.
-    pub options: Options,
+    pub options: SessionOptions,
 }
 
 /// How long a map unit is.
@@ -113,37 +37,6 @@ pub struct SetScale {
     /// Metres per map unit, above 0; `null` frees the scale.
     #[serde(deserialize_with = "Option::deserialize")]
     pub metres_per_unit: Option<f64>,
-}
-
-/// How tracking a frame ended.
-#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum State {
-    /// There was no map yet.
-    Initialising,
-    /// The pose is good.
-    Tracked,
-    /// The geometry does not pin the pose down well.
-    Weak,
-    /// There is no pose.
-    Lost,
-}
-
-/// What a length of 1 means.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Scale {
-    /// Map units of unknown length.
-    UpToScale,
-    /// Metres.
-    Metric,
-}
-
-impl Scale {
-    /// Of a session with so many metres per map unit, if anybody has said so.
-    pub fn of(metres_per_unit: Option<f64>) -> Self {
-        if metres_per_unit.is_some() { Self::Metric } else { Self::UpToScale }
-    }
 }
 
 /// A session.
@@ -156,7 +49,7 @@ pub struct Session {
     /// Its camera as it was found to be; `null` while it is used as it was given.
     pub refined_camera: Option<Camera>,
     /// What it runs with.
-    pub options: Options,
+    pub options: SessionOptions,
     /// Wall-clock time of creation, nanoseconds since 1970.
     pub created_at_ns: i64,
     /// How tracking its last frame ended; `null` before the first.
@@ -198,32 +91,6 @@ pub struct SessionPage {
     pub next_page_token: Option<String>,
 }
 
-/// `world_from_camera`: the camera's position, map units, and orientation as a Hamilton unit quaternion.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
-pub struct Pose {
-    /// Position, x.
-    pub tx: f64,
-    /// Position, y.
-    pub ty: f64,
-    /// Position, z.
-    pub tz: f64,
-    /// Orientation, x.
-    pub qx: f64,
-    /// Orientation, y.
-    pub qy: f64,
-    /// Orientation, z.
-    pub qz: f64,
-    /// Orientation, w.
-    pub qw: f64,
-}
-
-impl From<&geometry::Pose> for Pose {
-    fn from(pose: &geometry::Pose) -> Self {
-        let (t, q) = (&pose.translation, pose.rotation.quaternion());
-        Self { tx: t.x, ty: t.y, tz: t.z, qx: q.i, qy: q.j, qz: q.k, qw: q.w }
-    }
-}
-
 impl CreateSession {
     /// The service's terms.
     ///
@@ -232,79 +99,7 @@ impl CreateSession {
     pub fn into_new_session(self) -> Result<NewSession, ApiError> {
         let id = self.id.filter(|id| !id.is_empty());
         let id = id.map(|id| SessionId::parse(&id, "id")).transpose()?;
-        Ok(NewSession { id, camera: self.camera.into(), options: self.options.into() })
-    }
-}
-
-impl From<Camera> for CameraParameters {
-    fn from(camera: Camera) -> Self {
-        let Camera { model, width, height, fx, fy, cx, cy, distortion } = camera;
-        let model = match model {
-            Model::Pinhole => CameraModel::Pinhole,
-            Model::Radtan => CameraModel::Radtan,
-            Model::KannalaBrandt => CameraModel::KannalaBrandt,
-            Model::Fov => CameraModel::Fov,
-        };
-        Self { model, width, height, fx, fy, cx, cy, distortion }
-    }
-}
-
-impl From<CameraParameters> for Camera {
-    fn from(camera: CameraParameters) -> Self {
-        let CameraParameters { model, width, height, fx, fy, cx, cy, distortion } = camera;
-        let model = match model {
-            CameraModel::Pinhole => Model::Pinhole,
-            CameraModel::Radtan => Model::Radtan,
-            CameraModel::KannalaBrandt => Model::KannalaBrandt,
-            CameraModel::Fov => Model::Fov,
-        };
-        Self { model, width, height, fx, fy, cx, cy, distortion }
-    }
-}
-
-/// The fields are the same on both sides; naming each makes the compiler see when one is added.
-macro_rules! convert_options {
-    ($from:ty => $to:ty) => {
-        impl From<$from> for $to {
-            fn from(options: $from) -> Self {
-                Self {
-                    deterministic: options.deterministic,
-                    seed: options.seed,
-                    n_features: options.n_features,
-                    points: options.points,
-                    lines: options.lines,
-                    global_primitives: options.global_primitives,
-                    loop_closing: options.loop_closing,
-                    refine_calibration: options.refine_calibration,
-                    max_keyframes: options.max_keyframes,
-                }
-            }
-        }
-    };
-}
-convert_options!(Options => store::SessionOptions);
-convert_options!(store::SessionOptions => Options);
-
-impl From<FrameState> for State {
-    fn from(state: FrameState) -> Self {
-        match state {
-            FrameState::Initialising => Self::Initialising,
-            FrameState::Tracked => Self::Tracked,
-            FrameState::Weak => Self::Weak,
-            FrameState::Lost => Self::Lost,
-        }
-    }
-}
-
-impl State {
-    /// The state in one word, as in JSON.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Initialising => "initialising",
-            Self::Tracked => "tracked",
-            Self::Weak => "weak",
-            Self::Lost => "lost",
-        }
+        Ok(NewSession { id, camera: self.camera.into(), options: self.options })
     }
 }
 
@@ -314,7 +109,7 @@ impl From<SessionView> for Session {
             id: view.id,
             camera: view.camera.into(),
             refined_camera: view.refined_camera.map(Camera::from),
-            options: view.options.into(),
+            options: view.options,
             created_at_ns: view.created_at_ns,
             state: view.state.map(State::from),
             scale: Scale::of(view.metres_per_unit),

@@ -1,6 +1,6 @@
 //! Sessions.
 
-use super::extract::{Body, Params};
+use super::extract::{Body, NoConditions, PageParams, Paged};
 use super::model::{CreateSession, Session, SessionPage, SetScale, UpdateSession};
 use super::{App, Problem};
 use crate::error::ApiError;
@@ -9,32 +9,19 @@ use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::header::LOCATION;
 use axum::http::{HeaderName, StatusCode};
-use serde::Deserialize;
-use utoipa::IntoParams;
-
-/// Which page.
-#[derive(Debug, Default, Deserialize, IntoParams)]
-#[serde(default, deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
-pub(super) struct Page {
-    /// Entries on the page, at most 1000; 0 means 100.
-    page_size: u32,
-    /// `next_page_token` of the page before.
-    page_token: String,
-}
 
 /// Sessions in the order of their ids.
-#[utoipa::path(get, path = "/v1/sessions", tag = "sessions", params(Page), responses(
+#[utoipa::path(get, path = "/v1/sessions", tag = "sessions", params(PageParams), responses(
     (status = 200, description = "A page of sessions", body = SessionPage),
     (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json")
 ))]
 pub(super) async fn list(
     State(app): State<App>,
-    Params(page): Params<Page>,
+    Paged(page, NoConditions {}): Paged<NoConditions>,
 ) -> Result<Json<SessionPage>, ApiError> {
-    let list = app.service.list_sessions(page.page_size, &page.page_token).await?;
-    let sessions = list.sessions.into_iter().map(Session::from).collect();
-    Ok(Json(SessionPage { sessions, next_page_token: list.next_page_token }))
+    let page = app.service.list_sessions(&page).await?;
+    let sessions = page.items.into_iter().map(Session::from).collect();
+    Ok(Json(SessionPage { sessions, next_page_token: page.next_page_token }))
 }
 
 /// Makes a session.
@@ -76,7 +63,7 @@ pub(super) async fn update(
     Body(request): Body<UpdateSession>,
 ) -> Result<Json<Session>, ApiError> {
     let id = SessionId::parse(&id, "id")?;
-    Ok(Json(app.service.update_session(&id, request.options.into()).await?.into()))
+    Ok(Json(app.service.update_session(&id, request.options).await?.into()))
 }
 
 /// Says how many metres a map unit is. Every length of later answers is in metres then.

@@ -2,6 +2,7 @@
 
 use super::{App, Problem};
 use crate::error::ApiError;
+use crate::page::PageRequest;
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
@@ -19,7 +20,7 @@ pub(super) async fn healthz() -> &'static str {
 ))]
 pub(super) async fn readyz(State(app): State<App>) -> Result<&'static str, ApiError> {
     app.service.registry().check_open()?;
-    app.service.list_sessions(1, "").await?;
+    app.service.list_sessions(&PageRequest::new(1, "")?).await?;
     Ok("ready\n")
 }
 

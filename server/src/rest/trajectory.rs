@@ -1,9 +1,10 @@
 //! Trajectories in the formats of the trade, streamed.
 
 use super::extract::Params;
-use super::model::{Pose, Scale, State as TrackingState};
 use super::{App, Problem};
 use crate::error::ApiError;
+use crate::maps::{SubmapChoice, TrajectoryKind, TrajectoryPose, TrajectoryQuery};
+use crate::model::{Pose, Scale, State as TrackingState};
 use crate::session::SessionId;
 use axum::body::Body;
 use axum::extract::{Path, State};
@@ -13,7 +14,6 @@ use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use slam::map::SubmapId;
 use std::fmt::Write;
-use store::{SubmapChoice, TrajectoryFilter, TrajectoryKind, TrajectoryPose};
 use tokio_stream::StreamExt;
 use utoipa::{IntoParams, ToSchema};
 
@@ -79,30 +79,23 @@ pub(super) async fn trajectory(
     Params(wanted): Params<Wanted>,
 ) -> Result<impl IntoResponse, ApiError> {
     let id = SessionId::parse(&id, "id")?;
-    let session = app.service.get_session(&id).await?;
-    let scale = Scale::of(session.metres_per_unit);
-    let kind = match wanted.kind {
-        Kind::Frames => TrajectoryKind::Frames,
-        Kind::Keyframes => TrajectoryKind::Keyframes,
-    };
-    let filter = TrajectoryFilter {
+    let query = TrajectoryQuery {
+        kind: match wanted.kind {
+            Kind::Frames => TrajectoryKind::Frames,
+            Kind::Keyframes => TrajectoryKind::Keyframes,
+        },
         from_timestamp_ns: wanted.from_timestamp_ns,
         to_timestamp_ns: wanted.to_timestamp_ns,
         submaps: wanted.submap_id.map_or(wanted.format.submaps(), |id| SubmapChoice::One(SubmapId(id))),
     };
-    let poses = app.service.store().trajectory(id.as_str(), kind, filter).await?;
+    let answer = app.service.maps().trajectory(&id, &query).await?;
 
     let mut writer = TrajectoryWriter::new(wanted.format);
-    let head = writer.head(id.as_str(), scale);
+    let head = writer.head(id.as_str(), answer.scale);
     let tail = writer.tail();
-    // A metric session's lengths leave in metres; rows stay in map units.
-    let metres_per_unit = session.metres_per_unit.unwrap_or(1.0);
-    let body = poses.map(move |pose| {
-        pose.map(|mut pose| {
-            pose.world_from_camera.translation *= metres_per_unit;
-            writer.pose(&pose)
-        })
-    });
+    let body = answer
+        .value
+        .map(move |poses| poses.map(|poses| poses.iter().map(|pose| writer.pose(pose)).collect::<String>()));
     let whole = tokio_stream::once(Ok(head)).chain(body).chain(tokio_stream::once(Ok(tail)));
     let chunks = whole.filter(|chunk| !matches!(chunk, Ok(text) if text.is_empty()));
     let chunks = chunks.map(|chunk| chunk.map(Bytes::from));

@@ -1,5 +1,6 @@
 //! What goes into a session's stream and what comes out.
 
+use super::view::SessionView;
 use bytes::Bytes;
 use slam::FrameReport;
 use std::time::Instant;
@@ -104,7 +105,7 @@ pub enum Before {
 #[derive(Clone, Debug)]
 pub enum Reply {
     /// The stream is open.
-    Opened(Box<crate::service::SessionView>),
+    Opened(Box<SessionView>),
     /// A frame was tracked.
     Answered(Box<Answer>),
     /// A frame that was answered before was not tracked again.

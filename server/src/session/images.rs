@@ -9,21 +9,13 @@ use image::{ExtendedColorType, ImageEncoder};
 use slam::MapUpdate;
 use slam::map::{FrameState, KeyframeId};
 use std::collections::VecDeque;
+use store::KeyframeImage;
 use vision::decode::PixelFormat;
 
 /// Candidates held at most: over two seconds of video, more than the engine looks back for a first view.
 const MAX_CANDIDATES: usize = 96;
 /// Bytes of candidates held at most.
 const MAX_CANDIDATE_BYTES: usize = 64 << 20;
-
-/// An image to be stored with a key frame.
-#[derive(Clone, Debug)]
-pub struct KeyframeImage {
-    /// The key frame.
-    pub keyframe: KeyframeId,
-    /// The image as it was sent.
-    pub image: SentImage,
-}
 
 /// Holds the images of candidates.
 #[derive(Debug, Default)]
@@ -47,12 +39,9 @@ impl CandidateImages {
     }
 
     /// The images of the key frames that are new in an update.
-    pub fn take_for(&mut self, update: &MapUpdate) -> Vec<KeyframeImage> {
+    pub fn take_for(&mut self, update: &MapUpdate) -> Vec<(KeyframeId, SentImage)> {
         let changed = update.changes.keyframes.iter().filter_map(|id| update.map.keyframe(*id));
-        changed
-            .filter_map(|keyframe| Some((keyframe.id, self.take(keyframe.sequence)?)))
-            .map(|(keyframe, image)| KeyframeImage { keyframe, image })
-            .collect()
+        changed.filter_map(|keyframe| Some((keyframe.id, self.take(keyframe.sequence)?))).collect()
     }
 
     fn take(&mut self, sequence: u64) -> Option<SentImage> {
@@ -63,33 +52,25 @@ impl CandidateImages {
     }
 }
 
-/// A file of an image, as it is stored and served.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ImageFile {
-    /// `image/png` or `image/jpeg`.
-    pub media_type: &'static str,
-    /// The bytes of the file.
-    pub data: bytes::Bytes,
-}
-
-/// The image as a file: PNG and JPEG as they were sent, pixels as PNG.
+/// The image of a key frame as a file to be stored: PNG and JPEG as they were sent, pixels as PNG.
 ///
 /// `None` if the pixels do not fit the size, which the decoder would have refused before.
-pub fn to_file(image: &SentImage) -> Option<ImageFile> {
+pub fn to_file(keyframe: KeyframeId, image: &SentImage) -> Option<KeyframeImage> {
+    let file =
+        |media_type: &str, bytes| Some(KeyframeImage { keyframe, media_type: media_type.to_owned(), bytes });
     let format = match image.encoding {
         Encoding::Raw(format) => format,
         Encoding::Png | Encoding::Jpeg | Encoding::Auto => {
             let is_jpeg = image.data.starts_with(&[0xFF, 0xD8, 0xFF]);
-            let media_type = if is_jpeg { "image/jpeg" } else { "image/png" };
-            return Some(ImageFile { media_type, data: image.data.clone() });
+            return file(if is_jpeg { "image/jpeg" } else { "image/png" }, image.data.to_vec());
         }
     };
-    let (pixels, colour) = packed_pixels(image, format)?;
-    let mut data = Vec::new();
-    PngEncoder::new_with_quality(&mut data, CompressionType::Fast, FilterType::Adaptive)
-        .write_image(&pixels, image.width, image.height, colour)
+    let (pixels, color) = packed_pixels(image, format)?;
+    let mut bytes = Vec::new();
+    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
+        .write_image(&pixels, image.width, image.height, color)
         .ok()?;
-    Some(ImageFile { media_type: "image/png", data: data.into() })
+    file("image/png", bytes)
 }
 
 /// The rows without padding, in an order of channels PNG knows; 16-bit samples in the machine's byte order.
@@ -133,25 +114,29 @@ mod tests {
         SentImage { encoding: Encoding::Raw(format), width, height, row_stride, data }
     }
 
+    fn file_of(image: &SentImage) -> Option<KeyframeImage> {
+        to_file(KeyframeId::new(3).unwrap(), image)
+    }
+
     #[test]
     fn raw_pixels_come_back_from_their_png() {
         let image = raw(PixelFormat::Bgr8, 2, 2, 8, &[1, 2, 3, 4, 5, 6, 0, 0, 7, 8, 9, 10, 11, 12]);
-        let file = to_file(&image).unwrap();
-        assert_eq!(file.media_type, "image/png");
-        let decoded = image::load_from_memory(&file.data).unwrap().into_rgb8();
+        let file = file_of(&image).unwrap();
+        assert_eq!((file.keyframe.get(), file.media_type.as_str()), (3, "image/png"));
+        let decoded = image::load_from_memory(&file.bytes).unwrap().into_rgb8();
         assert_eq!(decoded.into_raw(), [3, 2, 1, 6, 5, 4, 9, 8, 7, 12, 11, 10]);
     }
 
     #[test]
     fn sixteen_bit_pixels_keep_all_their_bits() {
-        let file = to_file(&raw(PixelFormat::Gray16, 2, 1, 0, &[0x34, 0x12, 0xCD, 0xAB])).unwrap();
-        let decoded = image::load_from_memory(&file.data).unwrap().into_luma16();
+        let file = file_of(&raw(PixelFormat::Gray16, 2, 1, 0, &[0x34, 0x12, 0xCD, 0xAB])).unwrap();
+        let decoded = image::load_from_memory(&file.bytes).unwrap().into_luma16();
         assert_eq!(decoded.into_raw(), [0x1234, 0xABCD]);
     }
 
     #[test]
     fn pixels_that_do_not_fit_the_size_give_no_file() {
-        assert_eq!(to_file(&raw(PixelFormat::Gray8, 4, 4, 0, &[0; 15])), None);
+        assert_eq!(file_of(&raw(PixelFormat::Gray8, 4, 4, 0, &[0; 15])), None);
     }
 
     #[test]

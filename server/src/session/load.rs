@@ -1,13 +1,12 @@
 //! From a stored session to an engine that goes on with it.
 
 use super::SessionId;
-use super::images::ImageFile;
 use super::writer::Sink;
 use crate::clock::SystemClock;
 use crate::error::{ApiError, ErrorCode};
-use crate::options::engine_config;
+use crate::options::{SessionOptions, engine_config};
 use geometry::Camera;
-use slam::map::{FrameState, KeyframeId};
+use slam::map::FrameState;
 use slam::{MapUpdate, Pipeline, ResumeState, SlamConfig, Threading};
 use std::sync::{Arc, Mutex, PoisonError};
 use store::{KeyframeImage, LoadedSession, SessionStatus, Store, StoredFrame};
@@ -58,7 +57,7 @@ impl LoadContext<'_> {
 /// If there is none, or what is stored cannot be used.
 pub async fn read(context: &LoadContext<'_>) -> Result<StoredSession, ApiError> {
     let record = context.store.get_session(context.id.as_str()).await?;
-    let config = engine_config(&record.options)?;
+    let config = engine_config(&SessionOptions::from(record.options))?;
     let LoadedSession { record, resume: state } =
         context.store.load_session(context.id.as_str(), &config).await?;
     let camera = record.checked_camera()?;
@@ -119,13 +118,7 @@ struct SessionSink {
 }
 
 impl Sink for SessionSink {
-    async fn commit(&self, update: &MapUpdate, images: &[(KeyframeId, ImageFile)]) -> Result<(), ApiError> {
-        let image = |(keyframe, file): &(KeyframeId, ImageFile)| KeyframeImage {
-            keyframe: *keyframe,
-            media_type: file.media_type.to_owned(),
-            bytes: file.data.to_vec(),
-        };
-        let images: Vec<_> = images.iter().map(image).collect();
+    async fn commit(&self, update: &MapUpdate, images: &[KeyframeImage]) -> Result<(), ApiError> {
         let state = {
             let mut last_state = self.last_state.lock().unwrap_or_else(PoisonError::into_inner);
             if let Some(last) =
@@ -135,7 +128,7 @@ impl Sink for SessionSink {
             }
             *last_state
         };
-        self.store.save_update(self.id.as_str(), update, SessionStatus { state }, &images).await?;
+        self.store.save_update(self.id.as_str(), update, SessionStatus { state }, images).await?;
         Ok(())
     }
 }

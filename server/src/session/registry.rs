@@ -1,9 +1,10 @@
 //! The sessions that are in memory, and who writes into them.
 
 use super::events::{Events, SessionEvent};
-use super::load::{self, LoadContext};
+use super::load::{self, LoadContext, StoredSession};
 use super::queue::{FrameQueue, Policy};
-use super::worker::{self, Live, Mode, Replies, Stream, WorkerParts};
+use super::view::{Live, LoadedView};
+use super::worker::{Ends, Mode, Persistence, Replies, Stream, Worker, WorkerConfig};
 use super::{SessionId, writer};
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
@@ -13,7 +14,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use store::Store;
 use tokio::runtime::Handle;
 use tokio::sync::{broadcast, mpsc, oneshot, watch};
-use tokio_util::sync::CancellationToken;
+use tokio::task::JoinHandle;
+use tokio_util::sync::{CancellationToken, DropGuard};
 
 /// What a client asks of a stream.
 #[derive(Clone, Debug)]
@@ -65,15 +67,6 @@ struct Writer {
     queue: Arc<FrameQueue>,
     ending_soon: CancellationToken,
     served: CancellationToken,
-}
-
-/// How a session in memory is doing.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LoadedView {
-    /// As of its last frame.
-    pub live: Live,
-    /// Whether a writer is connected.
-    pub has_writer: bool,
 }
 
 impl Registry {
@@ -286,64 +279,80 @@ impl Registry {
     async fn start(&self, id: &SessionId, events: Events) -> Result<Loaded, ApiError> {
         let context = LoadContext { store: &self.store, id };
         let stored = load::read(&context).await?;
-        let one_by_one = stored.deterministic;
-        let (last_frame, retry) = (stored.last_frame(), self.config.sessions.save_retry());
-        let last_sequence = last_frame.map(|(sequence, _)| sequence);
-        let (outbox, saving) =
-            writer::start(context.sink(stored.last_state), last_sequence, one_by_one, retry);
-        let history = context.history();
-        let (streams_sender, streams) = mpsc::channel(1);
-        let (live_sender, live) = watch::channel(Live::default());
-        let (scale_sender, scale) = watch::channel(stored.metres_per_unit);
-        let (unload, ended) = (CancellationToken::new(), CancellationToken::new());
-        let (ready_sender, ready) = oneshot::channel();
+        let last_frame = stored.last_frame();
+        let (outbox, saving) = writer::start(
+            context.sink(stored.last_state),
+            last_frame.map(|(sequence, _)| sequence),
+            stored.deterministic,
+            self.config.sessions.save_retry(),
+        );
+        let persistence = Persistence { outbox, history: context.history(), last_frame };
+        let config = WorkerConfig {
+            decode_limits: self.config.decode_limits(),
+            keep_images: self.config.sessions.keep_keyframe_images,
+            idle_unload: self.config.sessions.idle_unload(),
+        };
+        let (loaded, ends) = channels(stored.metres_per_unit, events);
+        let ended = loaded.ended.clone().drop_guard();
+        spawn(Beginning { id: id.clone(), config, stored, persistence, saving, ends, ended }).await?;
+        Ok(loaded)
+    }
+}
 
-        let (id, config, runtime) = (id.clone(), self.config.clone(), Handle::current());
-        let (unload_worker, ended_guard) = (unload.clone(), ended.clone().drop_guard());
-        let thread = std::thread::Builder::new().name(format!("session-{id}"));
-        let run = move || {
-            let _ended = ended_guard;
-            let pipeline = match load::resume(stored) {
-                Ok(pipeline) => pipeline,
-                Err(error) => {
-                    outbox.close();
-                    let _ = ready_sender.send(Err(error));
-                    return;
-                }
-            };
-            let _ = ready_sender.send(Ok(()));
-            tracing::info!(session.id = %id, "session {id} is in memory");
-            let parts = WorkerParts {
-                id,
-                pipeline,
-                outbox,
-                history,
-                last_frame,
-                decode_limits: config.decode_limits(),
-                keep_images: config.sessions.keep_keyframe_images,
-                idle_unload: config.sessions.idle_unload(),
-                streams,
-                unload: unload_worker,
-                live: live_sender,
-                scale,
-                events,
-            };
-            worker::run(parts, &runtime);
-            if let Err(error) = runtime.block_on(saving) {
-                tracing::error!(error = %error, "a session's writer failed: {error}");
+/// The ends of what ties the registry to a worker, and the worker's.
+fn channels(metres_per_unit: Option<f64>, events: Events) -> (Loaded, Ends) {
+    // One stream may wait for the one before it to end; whoever brings another waits for the room.
+    let (streams, streams_receiver) = mpsc::channel(1);
+    let (live_sender, live) = watch::channel(Live::default());
+    let (scale, scale_receiver) = watch::channel(metres_per_unit);
+    let (unload, ended) = (CancellationToken::new(), CancellationToken::new());
+    let ends = Ends {
+        streams: streams_receiver,
+        unload: unload.clone(),
+        live: live_sender,
+        scale: scale_receiver,
+        events,
+    };
+    (Loaded { streams, live, unload, ended, writer: Mutex::default(), scale }, ends)
+}
+
+/// What a session's thread begins with.
+struct Beginning {
+    id: SessionId,
+    config: WorkerConfig,
+    stored: StoredSession,
+    persistence: Persistence,
+    /// Ends when everything is saved.
+    saving: JoinHandle<()>,
+    ends: Ends,
+    /// Dropped when the thread ends, however that comes.
+    ended: DropGuard,
+}
+
+/// Starts a session's thread; returns once its engine is there.
+async fn spawn(beginning: Beginning) -> Result<(), ApiError> {
+    let (ready_sender, ready) = oneshot::channel();
+    let runtime = Handle::current();
+    let thread = std::thread::Builder::new().name(format!("session-{}", beginning.id));
+    let run = move || {
+        let Beginning { id, config, stored, persistence, saving, ends, ended: _ended } = beginning;
+        let pipeline = match load::resume(stored) {
+            Ok(pipeline) => pipeline,
+            Err(error) => {
+                persistence.outbox.close();
+                let _ = ready_sender.send(Err(error));
+                return;
             }
         };
-        thread.spawn(run).map_err(ApiError::internal)?;
-        ready.await.map_err(ApiError::internal)??;
-        Ok(Loaded {
-            streams: streams_sender,
-            live,
-            unload,
-            ended,
-            writer: Mutex::default(),
-            scale: scale_sender,
-        })
-    }
+        let _ = ready_sender.send(Ok(()));
+        tracing::info!(session.id = %id, "session {id} is in memory");
+        Worker::new(id, config, pipeline, persistence, ends, runtime.clone()).run();
+        if let Err(error) = runtime.block_on(saving) {
+            tracing::error!(error = %error, "a session's writer failed: {error}");
+        }
+    };
+    thread.spawn(run).map_err(ApiError::internal)?;
+    ready.await.map_err(ApiError::internal)?
 }
 
 impl Slot {

@@ -4,6 +4,7 @@
 //! tracks them, answers go back through a bounded channel, and map updates go to the session's writer. At the end of
 //! a stream everything is flushed before the client sees the end.
 
+use super::SessionId;
 use super::decoder::{self, Decoded};
 use super::events::Events;
 use super::frame::{Answer, Before, Rejection, Reply, SentImage};
@@ -11,6 +12,7 @@ use super::images::CandidateImages;
 use super::load::History;
 use super::queue::{Ending, FrameQueue, Policy};
 use super::recent::RecentAnswers;
+use super::view::Live;
 use super::writer::Outbox;
 use crate::error::{ApiError, ErrorCode};
 use slam::map::FrameState;
@@ -58,43 +60,8 @@ pub struct Stream {
     pub served: CancellationToken,
 }
 
-/// How a loaded session is doing, as of its last frame.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Live {
-    /// How tracking the last frame ended, if there was one since the session was loaded.
-    pub state: Option<FrameState>,
-    /// Number and time of the last frame, nanoseconds, if there ever was one.
-    pub last_frame: Option<(u64, i64)>,
-    /// Frames tracked since the session was loaded.
-    pub n_frames: u64,
-    /// Key frames in the map.
-    pub n_keyframes: usize,
-    /// Points in the map.
-    pub n_points: usize,
-    /// Lines in the map.
-    pub n_lines: usize,
-    /// Global primitives in the map.
-    pub n_primitives: usize,
-}
-
-/// What a worker is started with.
-pub struct WorkerParts {
-    /// The session's id, for the log.
-    pub id: super::SessionId,
-    /// The engine.
-    pub pipeline: Pipeline,
-    /// The writer.
-    pub outbox: Outbox,
-    /// What is stored of earlier frames.
-    pub history: History,
-    /// Number and time of the last stored frame.
-    pub last_frame: Option<(u64, i64)>,
-    /// What images are accepted.
-    pub decode_limits: DecodeLimits,
-    /// Keep the images of key frames.
-    pub keep_images: bool,
-    /// Time without a stream after which the session ends.
-    pub idle_unload: Duration,
+/// The worker's ends of what ties it to the registry.
+pub struct Ends {
     /// Streams to serve, one after the other.
     pub streams: mpsc::Receiver<Stream>,
     /// Cancelled when the session is to end once its stream has.
@@ -107,95 +74,40 @@ pub struct WorkerParts {
     pub events: Events,
 }
 
-/// Runs a session until it is idle, told to end, or fails. Call on a thread of its own, with a runtime at hand.
-pub fn run(parts: WorkerParts, runtime: &Handle) {
-    let WorkerParts { id, mut streams, unload, idle_unload, outbox, .. } = parts;
-    let mut worker = Worker {
-        pipeline: parts.pipeline,
-        outbox,
-        history: parts.history,
-        last_frame: parts.last_frame,
-        decode_limits: parts.decode_limits,
-        keep_images: parts.keep_images,
-        live: parts.live,
-        scale: parts.scale,
-        events: parts.events,
-        recent: RecentAnswers::default(),
-        images: CandidateImages::default(),
-        n_frames: 0,
-        runtime: runtime.clone(),
-    };
-    worker.publish(None);
-    while let Some(stream) = next_stream(&mut streams, idle_unload, &unload, &worker.outbox, runtime) {
-        let served = stream.served.clone();
-        let replies = stream.replies.clone();
-        let queue = stream.queue.clone();
-        let outcome = catch_unwind(AssertUnwindSafe(|| worker.serve(stream)));
-        served.cancel();
-        if let Err(panic) = outcome {
-            let cause = panic_message(&*panic);
-            tracing::error!(session.id = %id, cause, "session {id} failed and is closed: {cause}");
-            let sentence =
-                "the session failed and was closed; open it again to go on from its last saved frame";
-            let error = ApiError::new(ErrorCode::SessionFailed, sentence);
-            queue.abort(Err(error.clone()));
-            let _ = replies.try_send(Err(error.clone()));
-            metrics::counter!("monoslam_session_failures_total").increment(1);
-            // Whoever was let in meanwhile must not wait for an answer that never comes.
-            streams.close();
-            while let Ok(next) = streams.try_recv() {
-                let _ = next.replies.try_send(Err(error.clone()));
-                next.queue.abort(Err(error.clone()));
-            }
-            // What the engine holds cannot be trusted any more, and is not saved.
-            worker.outbox.close();
-            return;
-        }
-    }
-    let outcome = catch_unwind(AssertUnwindSafe(|| worker.flush()));
-    if !matches!(outcome, Ok(Ok(()))) {
-        tracing::error!(session.id = %id, "session {id} ends without its last frames saved");
-    }
-    worker.outbox.close();
-    tracing::info!(session.id = %id, "session {id} left memory");
+/// What ties a worker to the database.
+pub struct Persistence {
+    /// Where updates go.
+    pub outbox: Outbox,
+    /// What is stored of earlier frames.
+    pub history: History,
+    /// Number and time of the last stored frame.
+    pub last_frame: Option<(u64, i64)>,
 }
 
-/// Waits for a stream. `None` once the session is to end: then the channel is closed, and what came just before that
-/// is still served.
-fn next_stream(
-    streams: &mut mpsc::Receiver<Stream>,
-    idle_unload: Duration,
-    unload: &CancellationToken,
-    outbox: &Outbox,
-    runtime: &Handle,
-) -> Option<Stream> {
-    runtime.block_on(async {
-        loop {
-            tokio::select! {
-                biased;
-                stream = streams.recv() => return stream,
-                () = unload.cancelled() => break,
-                // A session that cannot be saved stays: its frames are in no other place.
-                () = tokio::time::sleep(idle_unload) => if outbox.is_idle() { break },
-            }
-        }
-        streams.close();
-        streams.recv().await
-    })
+/// What a worker runs with.
+#[derive(Clone, Copy, Debug)]
+pub struct WorkerConfig {
+    /// What images are accepted.
+    pub decode_limits: DecodeLimits,
+    /// Keep the images of key frames.
+    pub keep_images: bool,
+    /// Time without a stream after which the session ends.
+    pub idle_unload: Duration,
 }
 
-struct Worker {
+/// Owns a session.
+pub struct Worker {
+    id: SessionId,
+    config: WorkerConfig,
     pipeline: Pipeline,
     outbox: Outbox,
     history: History,
+    ends: Ends,
+    /// Number and time of the last frame, stored or not.
     last_frame: Option<(u64, i64)>,
-    decode_limits: DecodeLimits,
-    keep_images: bool,
-    live: watch::Sender<Live>,
-    scale: watch::Receiver<Option<f64>>,
-    events: Events,
     recent: RecentAnswers,
     images: CandidateImages,
+    /// Frames tracked since the session was loaded.
     n_frames: u64,
     runtime: Handle,
 }
@@ -204,6 +116,81 @@ struct Worker {
 struct ClientGone;
 
 impl Worker {
+    /// The worker of a session, with a runtime at hand.
+    pub fn new(
+        id: SessionId,
+        config: WorkerConfig,
+        pipeline: Pipeline,
+        persistence: Persistence,
+        ends: Ends,
+        runtime: Handle,
+    ) -> Self {
+        let Persistence { outbox, history, last_frame } = persistence;
+        let (recent, images) = (RecentAnswers::default(), CandidateImages::default());
+        let n_frames = 0;
+        Self { id, config, pipeline, outbox, history, ends, last_frame, recent, images, n_frames, runtime }
+    }
+
+    /// Runs the session until it is idle, told to end, or fails. Call on a thread of its own.
+    pub fn run(mut self) {
+        let id = self.id.clone();
+        self.publish(None);
+        while let Some(stream) = self.next_stream() {
+            let (served, replies, queue) =
+                (stream.served.clone(), stream.replies.clone(), stream.queue.clone());
+            let outcome = catch_unwind(AssertUnwindSafe(|| self.serve(stream)));
+            served.cancel();
+            if let Err(panic) = outcome {
+                self.fail(panic_message(&*panic), &queue, &replies);
+                return;
+            }
+        }
+        let outcome = catch_unwind(AssertUnwindSafe(|| self.flush()));
+        if !matches!(outcome, Ok(Ok(()))) {
+            tracing::error!(session.id = %id, "session {id} ends without its last frames saved");
+        }
+        self.outbox.close();
+        tracing::info!(session.id = %id, "session {id} left memory");
+    }
+
+    /// Ends a session whose engine has panicked while it served a stream.
+    fn fail(mut self, cause: &str, queue: &FrameQueue, replies: &Replies) {
+        let id = &self.id;
+        tracing::error!(session.id = %id, cause, "session {id} failed and is closed: {cause}");
+        let sentence = "the session failed and was closed; open it again to go on from its last saved frame";
+        let error = ApiError::new(ErrorCode::SessionFailed, sentence);
+        queue.abort(Err(error.clone()));
+        let _ = replies.try_send(Err(error.clone()));
+        metrics::counter!("monoslam_session_failures_total").increment(1);
+        // Whoever was let in meanwhile must not wait for an answer that never comes.
+        self.ends.streams.close();
+        while let Ok(next) = self.ends.streams.try_recv() {
+            let _ = next.replies.try_send(Err(error.clone()));
+            next.queue.abort(Err(error.clone()));
+        }
+        // What the engine holds cannot be trusted any more, and is not saved.
+        self.outbox.close();
+    }
+
+    /// Waits for a stream. `None` once the session is to end: then the channel is closed, and what came just before that
+    /// is still served.
+    fn next_stream(&mut self) -> Option<Stream> {
+        let Ends { streams, unload, .. } = &mut self.ends;
+        self.runtime.block_on(async {
+            loop {
+                tokio::select! {
+                    biased;
+                    stream = streams.recv() => return stream,
+                    () = unload.cancelled() => break,
+                    // A session that cannot be saved stays: its frames are in no other place.
+                    () = tokio::time::sleep(self.config.idle_unload) => if self.outbox.is_idle() { break },
+                }
+            }
+            streams.close();
+            streams.recv().await
+        })
+    }
+
     /// Serves one stream to its end.
     fn serve(&mut self, stream: Stream) {
         self.pipeline.set_mapping(stream.mode == Mode::MapAndLocalize);
@@ -222,7 +209,7 @@ impl Worker {
 
     fn track_all(&mut self, stream: &Stream) {
         let (sender, decoded) = sync_channel(DECODED_AHEAD);
-        let limits = self.decode_limits;
+        let limits = self.config.decode_limits;
         std::thread::scope(|scope| {
             // Dropped before the scope joins the decoder, also in a panic, so that the decoder ends.
             let decoded = decoded;
@@ -270,13 +257,13 @@ impl Worker {
         self.last_frame = Some((sequence, timestamp_ns));
         self.n_frames += 1;
         let state = report.outcome.state();
-        if self.keep_images {
+        if self.config.keep_images {
             self.images.offer(sequence, sent, state, report.is_keyframe);
         }
         self.hand_over_updates(Pipeline::take_updates);
         self.publish(Some(state));
-        let metres_per_unit = *self.scale.borrow();
-        self.events.frame(&report, metres_per_unit);
+        let metres_per_unit = *self.ends.scale.borrow();
+        self.ends.events.frame(&report, metres_per_unit);
         record_frame(&report, queued_ns);
         self.recent.remember(report.clone());
         let durable_sequence = self.outbox.durable_sequence();
@@ -289,21 +276,21 @@ impl Worker {
             Some(report) => Some(Before::Recent(Box::new(report.clone()))),
             None => self.runtime.block_on(self.history.frame(sequence)).map(Before::Stored),
         };
-        let (durable_sequence, metres_per_unit) = (self.outbox.durable_sequence(), *self.scale.borrow());
+        let (durable_sequence, metres_per_unit) = (self.outbox.durable_sequence(), *self.ends.scale.borrow());
         Reply::Repeated { sequence, timestamp_ns, before, durable_sequence, metres_per_unit }
     }
 
     /// Finishes what mapping has begun and waits until everything is saved.
     fn flush(&mut self) -> Result<(), ApiError> {
         self.hand_over_updates(Pipeline::finish);
-        let state = self.live.borrow().state;
+        let state = self.ends.live.borrow().state;
         self.publish(state);
         self.runtime.block_on(self.outbox.flush())
     }
 
     fn hand_over_updates(&mut self, take: impl FnOnce(&mut Pipeline) -> Vec<slam::MapUpdate>) {
         for update in take(&mut self.pipeline) {
-            self.events.map(&update);
+            self.ends.events.map(&update);
             let images = self.images.take_for(&update);
             self.outbox.push(update, images);
         }
@@ -324,7 +311,7 @@ impl Worker {
             n_lines: map.n_lines(),
             n_primitives: map.n_primitives(),
         };
-        self.live.send_replace(live);
+        self.ends.live.send_replace(live);
     }
 
     /// Sends to the client, waiting for it to read; once the stream is to end, only a little longer.
@@ -387,13 +374,12 @@ fn panic_message(panic: &(dyn std::any::Any + Send)) -> &str {
 mod tests {
     use super::*;
     use crate::session::frame::{Encoding, SentFrame};
-    use crate::session::images::ImageFile;
     use crate::session::queue::Queued;
-    use crate::session::{SessionId, writer};
+    use crate::session::writer;
     use geometry::{Camera, CameraModel, CameraParameters};
-    use slam::map::KeyframeId;
     use slam::{Clock, MapUpdate, SlamConfig};
     use std::sync::atomic::{AtomicBool, Ordering};
+    use store::KeyframeImage;
     use vision::decode::PixelFormat;
 
     const WIDTH: u32 = 160;
@@ -416,7 +402,7 @@ mod tests {
     struct NoDisk;
 
     impl writer::Sink for NoDisk {
-        async fn commit(&self, _: &MapUpdate, _: &[(KeyframeId, ImageFile)]) -> Result<(), ApiError> {
+        async fn commit(&self, _: &MapUpdate, _: &[KeyframeImage]) -> Result<(), ApiError> {
             Ok(())
         }
     }
@@ -445,23 +431,22 @@ mod tests {
             store::Store::open(folder.path().join("maps"), store::StoreOptions::default()).await.unwrap();
         let id = SessionId::parse("s", "id").unwrap();
         let (streams, receiver) = mpsc::channel(1);
-        let parts = WorkerParts {
-            history: crate::session::load::LoadContext { store: &store, id: &id }.history(),
-            id,
-            pipeline,
-            outbox,
-            last_frame: None,
+        let history = crate::session::load::LoadContext { store: &store, id: &id }.history();
+        let persistence = Persistence { outbox, history, last_frame: None };
+        let config = WorkerConfig {
             decode_limits: DecodeLimits::default(),
             keep_images: true,
             idle_unload: Duration::from_secs(60),
+        };
+        let ends = Ends {
             streams: receiver,
             unload: CancellationToken::new(),
             live: watch::channel(Live::default()).0,
             scale: watch::channel(None).1,
             events: Events::default(),
         };
-        let runtime = Handle::current();
-        let worker = std::thread::spawn(move || run(parts, &runtime));
+        let worker = Worker::new(id, config, pipeline, persistence, ends, Handle::current());
+        let worker = std::thread::spawn(move || worker.run());
 
         let queue = Arc::new(FrameQueue::new(Policy::Lossless, 4));
         let (replies, mut answers) = mpsc::channel(4);

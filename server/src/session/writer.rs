@@ -4,7 +4,8 @@
 //! merged into one, so a slow disk makes transactions larger, never the queue longer. A deterministic session is
 //! saved update by update, so that what its database holds does not depend on time; it waits for the disk instead.
 
-use super::images::{ImageFile, KeyframeImage, to_file};
+use super::frame::SentImage;
+use super::images::to_file;
 use crate::error::ApiError;
 use slam::MapUpdate;
 use slam::map::KeyframeId;
@@ -12,6 +13,7 @@ use std::collections::VecDeque;
 use std::future::Future;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
+use store::KeyframeImage;
 use tokio::sync::{Notify, watch};
 
 /// Updates a deterministic session may be ahead of the disk before it waits. Others merge into one.
@@ -26,7 +28,7 @@ pub trait Sink: Send + Sync + 'static {
     fn commit(
         &self,
         update: &MapUpdate,
-        images: &[(KeyframeId, ImageFile)],
+        images: &[KeyframeImage],
     ) -> impl Future<Output = Result<(), ApiError>> + Send;
 }
 
@@ -73,7 +75,7 @@ struct Waiting {
 #[derive(Debug)]
 struct Batch {
     update: MapUpdate,
-    images: Vec<KeyframeImage>,
+    images: Vec<(KeyframeId, SentImage)>,
     /// The number of the last update in it.
     last_update: u64,
 }
@@ -102,7 +104,7 @@ pub fn start(
 
 impl Outbox {
     /// Hands an update over. Returns at once, save in a deterministic session that is far ahead of a working disk.
-    pub fn push(&self, update: MapUpdate, mut images: Vec<KeyframeImage>) {
+    pub fn push(&self, update: MapUpdate, mut images: Vec<(KeyframeId, SentImage)>) {
         let mut waiting = self.shared.lock();
         if self.shared.one_by_one {
             while waiting.updates.len() >= MAX_UPDATES_AHEAD && self.failure().is_none() && !waiting.closed {
@@ -112,7 +114,7 @@ impl Outbox {
             }
         }
         waiting.n_updates += 1;
-        let n_bytes: usize = images.iter().map(|image| image.image.data.len()).sum();
+        let n_bytes = n_bytes_of(&images);
         if waiting.image_bytes + n_bytes > MAX_WAITING_IMAGE_BYTES {
             tracing::warn!(
                 n_images = images.len(),
@@ -182,7 +184,7 @@ impl Shared {
     fn take(&self) -> Option<Batch> {
         let mut waiting = self.lock();
         let batch = waiting.updates.pop_front()?;
-        waiting.image_bytes -= batch.images.iter().map(|image| image.image.data.len()).sum::<usize>();
+        waiting.image_bytes -= n_bytes_of(&batch.images);
         self.room.notify_all();
         Some(batch)
     }
@@ -190,7 +192,7 @@ impl Shared {
     /// Puts back what could not be saved, joined with what came after it.
     fn put_back(&self, mut batch: Batch) {
         let mut waiting = self.lock();
-        waiting.image_bytes += batch.images.iter().map(|image| image.image.data.len()).sum::<usize>();
+        waiting.image_bytes += n_bytes_of(&batch.images);
         if !self.one_by_one
             && let Some(later) = waiting.updates.pop_front()
         {
@@ -238,10 +240,13 @@ async fn save_all(shared: Arc<Shared>, sink: impl Sink, saved: watch::Sender<Sav
     }
 }
 
+fn n_bytes_of(images: &[(KeyframeId, SentImage)]) -> usize {
+    images.iter().map(|(_, image)| image.data.len()).sum()
+}
+
 async fn save(sink: &impl Sink, batch: &Batch) -> Result<(), ApiError> {
     let images = batch.images.clone();
-    let encode =
-        move || images.iter().filter_map(|image| Some((image.keyframe, to_file(&image.image)?))).collect();
+    let encode = move || images.iter().filter_map(|(keyframe, image)| to_file(*keyframe, image)).collect();
     let files: Vec<_> = tokio::task::spawn_blocking(encode).await.map_err(ApiError::internal)?;
     let start = Instant::now();
     let outcome = sink.commit(&batch.update, &files).await;
@@ -272,7 +277,7 @@ mod tests {
     }
 
     impl Sink for FakeSink {
-        async fn commit(&self, update: &MapUpdate, _: &[(KeyframeId, ImageFile)]) -> Result<(), ApiError> {
+        async fn commit(&self, update: &MapUpdate, _: &[KeyframeImage]) -> Result<(), ApiError> {
             if self.0.slow.load(Ordering::SeqCst) {
                 self.0.go.notified().await;
             }

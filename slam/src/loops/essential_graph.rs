@@ -3,7 +3,7 @@
 use crate::bundle::factors::RelativeSimilarityFactor;
 use crate::config::LoopConfig;
 use crate::landmarks::Corrections;
-use crate::map::{KeyframeId, Map, median_depth};
+use crate::map::{Keyframe, KeyframeId, Map, median_depth};
 use geometry::Similarity;
 use optim::{Kernel, Problem, SolverOptions};
 use std::collections::{BTreeMap, BTreeSet};
@@ -69,24 +69,53 @@ pub(super) fn optimise(
         .collect()
 }
 
-/// The essential graph: spanning tree, strong ties, and ties across time that earlier loops have left. The latter can be
-/// told by the numbers of the key frames, so nothing needs to be stored of them.
+/// The essential graph of some key frames of a map.
 pub(super) fn edges(
     map: &Map,
     among: &BTreeMap<KeyframeId, Similarity>,
     config: &LoopConfig,
 ) -> BTreeSet<(KeyframeId, KeyframeId)> {
+    let ties: Vec<KeyframeTies> =
+        among.keys().filter_map(|id| map.keyframe(*id)).map(KeyframeTies::of).collect();
+    essential_edges(&ties, config)
+}
+
+/// What the essential graph is chosen by: a key frame's place in the spanning tree and what it shares with others.
+#[derive(Clone, Copy, Debug)]
+pub struct KeyframeTies<'a> {
+    /// The key frame.
+    pub id: KeyframeId,
+    /// The key frame it hangs on in the spanning tree.
+    pub parent: Option<KeyframeId>,
+    /// Key frames with which it shares points and lines and how many, most first; see [`Keyframe::covisible`].
+    pub covisible: &'a [(KeyframeId, u32)],
+}
+
+impl<'a> KeyframeTies<'a> {
+    /// The ties of a key frame of a map.
+    pub fn of(keyframe: &'a Keyframe) -> Self {
+        Self { id: keyframe.id, parent: keyframe.parent, covisible: keyframe.covisible() }
+    }
+}
+
+/// The essential graph of a submap's key frames: spanning tree, strong ties, and ties across time that earlier loops have
+/// left. The latter can be told by the numbers of the key frames, so nothing needs to be stored of them. Pairs of which
+/// one is not among the key frames given are left out; the lower id comes first.
+pub fn essential_edges(
+    keyframes: &[KeyframeTies],
+    config: &LoopConfig,
+) -> BTreeSet<(KeyframeId, KeyframeId)> {
     let mut edges = BTreeSet::new();
-    for keyframe in among.keys().filter_map(|id| map.keyframe(*id)) {
+    for keyframe in keyframes {
         edges.extend(keyframe.parent.map(|parent| ordered(keyframe.id, parent)));
-        let strong = keyframe.covisible().iter().filter(|(_, n)| *n >= config.min_essential_points);
+        let strong = keyframe.covisible.iter().filter(|(_, n)| *n >= config.min_essential_points);
         edges.extend(strong.map(|(other, _)| ordered(keyframe.id, *other)));
         let across = |other: KeyframeId| keyframe.id.get().abs_diff(other.get()) >= LOOP_SEPARATION;
-        let strongest =
-            keyframe.covisible().iter().find(|(other, n)| *n >= MIN_LOOP_POINTS && across(*other));
+        let strongest = keyframe.covisible.iter().find(|(other, n)| *n >= MIN_LOOP_POINTS && across(*other));
         edges.extend(strongest.map(|(other, _)| ordered(keyframe.id, *other)));
     }
-    edges.retain(|(i, j)| among.contains_key(i) && among.contains_key(j));
+    let among: BTreeSet<KeyframeId> = keyframes.iter().map(|keyframe| keyframe.id).collect();
+    edges.retain(|(i, j)| among.contains(i) && among.contains(j));
     edges
 }
 

@@ -13,6 +13,8 @@ mod essential_graph;
 mod tests;
 mod verification;
 
+pub use essential_graph::{KeyframeTies, essential_edges};
+
 use crate::config::SlamConfig;
 use crate::continuity;
 use crate::map::{KeyframeId, Map, PointId, SubmapId, median_depth};

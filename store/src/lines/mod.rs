@@ -5,5 +5,5 @@ mod query;
 mod row;
 
 pub(crate) use query::LineCursor;
-pub use query::{LinePage, LineQuery};
+pub use query::LineQuery;
 pub(crate) use row::{LINE_COLUMNS, LineRow, N_LINE_COLUMNS, parse_line};

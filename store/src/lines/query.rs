@@ -5,7 +5,7 @@ use super::{LINE_COLUMNS, parse_line};
 use crate::points::cell::{MAX_POINT_ID, point_of_key};
 use crate::points::{push_cell_keys, region};
 use crate::session::session_number;
-use crate::{Bounds, Store, StoreError};
+use crate::{Bounds, Page, Store, StoreError};
 use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
 use nalgebra::Vector3;
 use slam::map::{LineId, LineLandmark, PrimitiveId, SubmapId};
@@ -25,15 +25,6 @@ pub struct LineQuery {
     pub submap: Option<SubmapId>,
     /// Lines with this primitive's direction.
     pub primitive: Option<PrimitiveId>,
-}
-
-/// Some lines in the order of their ids.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct LinePage {
-    /// The lines.
-    pub lines: Vec<LineLandmark>,
-    /// Pass this as `after` for the next page; `None` on the last one.
-    pub next: Option<LineId>,
 }
 
 /// Lines read at a time: a statement takes about a millisecond.
@@ -58,21 +49,18 @@ impl Store {
         query: &LineQuery,
         after: Option<LineId>,
         page_size: u32,
-    ) -> Result<LinePage, StoreError> {
+    ) -> Result<Page<LineLandmark, LineId>, StoreError> {
         let mut reader = self.reader().await?;
         let number = session_number(&mut reader, session).await?;
         let after = after.map_or(0, |id| id.get().min(MAX_POINT_ID) as i64);
         let mut cursor = LineCursor::new(&mut reader, number, *query, after).await?;
-        let (page_size, mut lines) = (page_size as usize, Vec::new());
-        while lines.len() <= page_size
+        let mut lines = Vec::new();
+        while lines.len() <= page_size as usize
             && let Some(step) = cursor.step(&mut reader).await?
         {
             lines.extend(step);
         }
-        let has_more = lines.len() > page_size;
-        lines.truncate(page_size);
-        let next = lines.last().filter(|_| has_more).map(|last| last.id);
-        Ok(LinePage { lines, next })
+        Ok(Page::of(lines, page_size, |last| last.id))
     }
 
     /// Every wanted line in the order of their ids.

@@ -4,6 +4,6 @@ pub(crate) mod cell;
 mod query;
 mod row;
 
-pub use query::{Bounds, PointPage, PointQuery};
+pub use query::{Bounds, PointQuery};
 pub(crate) use query::{push_cell_keys, region, select_points};
 pub(crate) use row::{POINT_COLUMNS, PointRow, parse_point};

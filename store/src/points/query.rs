@@ -3,7 +3,7 @@
 use super::cell::{MAX_POINT_ID, cell_key, point_of_key};
 use super::{POINT_COLUMNS, parse_point};
 use crate::session::session_number;
-use crate::{Store, StoreError};
+use crate::{Page, Store, StoreError};
 use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
 use nalgebra::Vector3;
 use slam::map::{PointId, PointLandmark, SubmapId};
@@ -30,15 +30,6 @@ pub struct PointQuery {
     pub min_observations: u32,
     /// Points in this submap's frame of reference.
     pub submap: Option<SubmapId>,
-}
-
-/// Some points in the order of their ids.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PointPage {
-    /// The points.
-    pub points: Vec<PointLandmark>,
-    /// Pass this as `after` for the next page; `None` on the last one.
-    pub next: Option<PointId>,
 }
 
 /// Points read at a time by a stream: a statement takes about a millisecond.
@@ -117,15 +108,12 @@ impl Store {
         query: &PointQuery,
         after: Option<PointId>,
         page_size: u32,
-    ) -> Result<PointPage, StoreError> {
+    ) -> Result<Page<PointLandmark, PointId>, StoreError> {
         let mut reader = self.reader().await?;
         let number = session_number(&mut reader, session).await?;
         let after = after.map_or(0, |id| id.get().min(MAX_POINT_ID) as i64);
-        let mut points = select_points(&mut reader, number, query, after, page_size as usize + 1).await?;
-        let has_more = points.len() > page_size as usize;
-        points.truncate(page_size as usize);
-        let next = points.last().filter(|_| has_more).map(|last| last.id);
-        Ok(PointPage { points, next })
+        let points = select_points(&mut reader, number, query, after, page_size as usize + 1).await?;
+        Ok(Page::of(points, page_size, |last| last.id))
     }
 
     /// Every wanted point in the order of their ids.

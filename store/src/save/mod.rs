@@ -1,7 +1,7 @@
 //! Writing a map update: one transaction, and in it only the rows that changed.
 
-mod cells;
 mod keyframes;
+mod landmarks;
 mod lines;
 mod points;
 mod primitives;
@@ -13,7 +13,7 @@ use crate::session::{SessionCounts, read_session, state_column, write_correction
 use crate::{Store, StoreError};
 use rows::MultiRow;
 pub(crate) use rows::id_list;
-use slam::map::{FrameRecord, FrameState, KeyframeId, MapUpdate};
+use slam::map::{FrameRecord, FrameState, KeyframeId, LineLandmark, MapUpdate, PointLandmark};
 use sqlx::SqliteConnection;
 
 /// What the session's row says after an update, besides what the map tells.
@@ -62,14 +62,14 @@ impl Store {
         let mut transaction = self.begin_write().await?;
         let (number, before) = read_session(&mut transaction, session).await?;
 
-        points::delete_points(&mut transaction, number, update).await?;
-        lines::delete_lines(&mut transaction, number, update).await?;
+        landmarks::delete::<PointLandmark>(&mut transaction, number, update).await?;
+        landmarks::delete::<LineLandmark>(&mut transaction, number, update).await?;
         keyframes::write_keyframes(&mut transaction, number, update).await?;
         keyframes::write_features(&mut transaction, number, update).await?;
         keyframes::write_images(&mut transaction, number, update, images).await?;
         primitives::write_vanishing(&mut transaction, number, update).await?;
-        points::write_points(&mut transaction, number, update).await?;
-        lines::write_lines(&mut transaction, number, update).await?;
+        landmarks::write::<PointLandmark>(&mut transaction, number, update).await?;
+        landmarks::write::<LineLandmark>(&mut transaction, number, update).await?;
         primitives::write_primitives(&mut transaction, number, update).await?;
         if update.changes.correction {
             write_correction(&mut transaction, number, &update.map.correction()).await?;

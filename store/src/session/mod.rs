@@ -3,7 +3,7 @@
 mod json;
 
 use crate::number::{from_column, from_column_u32, to_column};
-use crate::{Store, StoreError};
+use crate::{Page, Store, StoreError};
 use geometry::{Camera, CameraParameters, PinholeCorrection};
 use slam::map::{FrameState, LastIds};
 use sqlx::sqlite::SqliteRow;
@@ -73,15 +73,6 @@ pub struct SessionChanges {
     pub metres_per_unit: Option<Option<f64>>,
 }
 
-/// Some sessions in the order of their names.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SessionPage {
-    /// The sessions.
-    pub sessions: Vec<SessionRecord>,
-    /// Pass this as `after` for the next page; `None` on the last one.
-    pub next: Option<String>,
-}
-
 impl Store {
     /// Makes a session without a map.
     ///
@@ -117,26 +108,36 @@ impl Store {
         Ok(read_session(&mut reader, id).await?.1)
     }
 
+    /// Metres per map unit of a session; `None` while the scale is free.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn metres_per_unit(&self, id: &str) -> Result<Option<f64>, StoreError> {
+        let mut reader = self.reader().await?;
+        let scale = sqlx::query_scalar("SELECT metres_per_unit FROM sessions WHERE id = ?")
+            .bind(id)
+            .fetch_optional(&mut *reader)
+            .await?;
+        scale.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })
+    }
+
     /// Up to `page_size` sessions whose names come after the given one, in the order of the names' bytes.
     pub async fn list_sessions(
         &self,
         after: Option<&str>,
         page_size: u32,
-    ) -> Result<SessionPage, StoreError> {
+    ) -> Result<Page<SessionRecord, String>, StoreError> {
         let mut reader = self.reader().await?;
         let rows = sqlx::query("SELECT * FROM sessions WHERE id > ? ORDER BY id LIMIT ?")
             .bind(after.unwrap_or_default())
             .bind(i64::from(page_size) + 1)
             .fetch_all(&mut *reader)
             .await?;
-        let mut sessions = rows
+        let sessions = rows
             .iter()
             .map(|row| parse_session(row).map(|(_, record)| record))
             .collect::<Result<Vec<_>, _>>()?;
-        let has_more = sessions.len() > page_size as usize;
-        sessions.truncate(page_size as usize);
-        let next = sessions.last().filter(|_| has_more).map(|last| last.id.clone());
-        Ok(SessionPage { sessions, next })
+        Ok(Page::of(sessions, page_size, |last: &SessionRecord| last.id.clone()))
     }
 
     /// Changes a session's options or scale.

@@ -155,8 +155,8 @@ async fn readers_see_whole_commits_while_a_writer_writes() {
             let mut heights = Vec::new();
             while heights.last().is_none_or(|height| *height < 60.0) {
                 let page = store.points_page("s", &PointQuery::default(), None, 100).await.unwrap();
-                let height = page.points[0].position.z;
-                assert!(page.points.iter().all(|point| point.position.z == height));
+                let height = page.items[0].position.z;
+                assert!(page.items.iter().all(|point| point.position.z == height));
                 heights.push(height);
             }
             heights

@@ -202,8 +202,8 @@ async fn paged(store: &Store, query: &LineQuery, page_size: u32) -> Vec<LineLand
     let (mut lines, mut after): (Vec<_>, Option<LineId>) = (Vec::new(), None);
     loop {
         let page = store.lines_page("s", query, after, page_size).await.unwrap();
-        assert!(page.lines.len() <= page_size as usize);
-        lines.extend(page.lines);
+        assert!(page.items.len() <= page_size as usize);
+        lines.extend(page.items);
         after = page.next;
         if after.is_none() {
             return lines;

@@ -12,16 +12,16 @@ async fn primitives_come_alone_and_in_pages_with_their_lines_counted() {
 
     let first = store.primitives_page("s", None, None, 3).await.unwrap();
     let second = store.primitives_page("s", None, first.next, 3).await.unwrap();
-    assert_eq!((first.primitives.len(), second.primitives.len(), second.next), (3, 1, None));
-    for (record, primitive) in first.primitives.iter().chain(&second.primitives).zip(&world.primitives) {
+    assert_eq!((first.items.len(), second.items.len(), second.next), (3, 1, None));
+    for (record, primitive) in first.items.iter().chain(&second.items).zip(&world.primitives) {
         assert_eq!(record.primitive, *primitive);
         let n_lines = world.lines.iter().filter(|line| line.primitive == Some(primitive.id)).count();
         assert_eq!(record.n_lines, n_lines as u64);
         assert_eq!(store.primitive("s", primitive.id).await.unwrap().as_ref(), Some(record));
     }
-    assert!(first.primitives[0].n_lines > 0 && !first.primitives[0].primitive.observations.is_empty());
+    assert!(first.items[0].n_lines > 0 && !first.items[0].primitive.observations.is_empty());
     let of_submap = store.primitives_page("s", Some(SubmapId(5)), None, 10).await.unwrap();
-    assert_eq!(of_submap.primitives, [first.primitives[1].clone()]);
+    assert_eq!(of_submap.items, [first.items[1].clone()]);
     assert_eq!(store.primitive("s", pr(9)).await.unwrap(), None);
 }
 

@@ -50,8 +50,8 @@ async fn paged(store: &Store, query: &PointQuery, page_size: u32) -> Vec<PointLa
     let (mut points, mut after): (Vec<_>, Option<PointId>) = (Vec::new(), None);
     loop {
         let page = store.points_page("s", query, after, page_size).await.unwrap();
-        assert!(page.points.len() <= page_size as usize);
-        points.extend(page.points);
+        assert!(page.items.len() <= page_size as usize);
+        points.extend(page.items);
         after = page.next;
         if after.is_none() {
             return points;
@@ -130,8 +130,8 @@ async fn key_frames_come_in_pages_and_alone() {
 
     let first = store.keyframes("s", None, 4).await.unwrap();
     let second = store.keyframes("s", first.next, 4).await.unwrap();
-    assert_eq!((first.keyframes.len(), second.keyframes.len(), second.next), (4, 2, None));
-    for (record, keyframe) in first.keyframes.iter().chain(&second.keyframes).zip(&world.keyframes) {
+    assert_eq!((first.items.len(), second.items.len(), second.next), (4, 2, None));
+    for (record, keyframe) in first.items.iter().chain(&second.items).zip(&world.keyframes) {
         assert_eq!(
             (record.id, record.submap, record.sequence),
             (keyframe.id, keyframe.submap, keyframe.sequence)

@@ -47,8 +47,8 @@ async fn sessions_are_listed_by_name_in_pages() {
     let mut after: Option<String> = None;
     loop {
         let page = store.list_sessions(after.as_deref(), 2).await.unwrap();
-        assert!(page.sessions.len() <= 2);
-        seen.extend(page.sessions.into_iter().map(|session| session.id));
+        assert!(page.items.len() <= 2);
+        seen.extend(page.items.into_iter().map(|session| session.id));
         after = page.next;
         if after.is_none() {
             break;
@@ -92,7 +92,7 @@ async fn an_interrupted_deletion_is_finished_when_the_database_is_opened() {
     connection.close().await;
 
     let store = Store::open(&path, StoreOptions::default()).await.unwrap();
-    assert_eq!(store.list_sessions(None, 10).await.unwrap().sessions, []);
+    assert_eq!(store.list_sessions(None, 10).await.unwrap().items, []);
     store.close().await.unwrap();
     let connection = sqlx::SqlitePool::connect(path.to_str().unwrap()).await.unwrap();
     for table in ["sessions", "keyframes", "keyframe_features", "points", "point_cells", "frames"] {

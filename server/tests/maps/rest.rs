@@ -1,56 +1,9 @@
 //! What the HTTP interface says of maps made by hand, to the last number.
 
-#[allow(dead_code)]
-#[path = "../../store/tests/it/world.rs"]
-mod world;
-
-use axum::Router;
-use axum::body::Body;
-use axum::http::{Request, StatusCode};
-use http_body_util::BodyExt;
+use crate::api::Api;
+use crate::world::{ln, pr};
 use serde_json::{Value, json};
-use server::{Config, Service, open_store, rest};
-use slam::map::{MapParts, PrimitiveId};
-use std::sync::Arc;
-use tempfile::TempDir;
-use tower::ServiceExt;
-use world::{SMALL, TRACKED, first_update, ln, new_session, pr, structured};
-
-/// The interface over a database that has a map, `s`.
-struct Api {
-    router: Router,
-    world: MapParts,
-    _folder: TempDir,
-}
-
-impl Api {
-    async fn new() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let config = Config::local(folder.path());
-        let store = open_store(&config).await.unwrap();
-        let world = structured(7, SMALL);
-        store.create_session(&new_session("s")).await.unwrap();
-        store.save_update("s", &first_update(&world), TRACKED, &[]).await.unwrap();
-        let service = Arc::new(Service::new(Arc::new(config), store).await.unwrap());
-        Self { router: rest::router(rest::App::new(service)), world, _folder: folder }
-    }
-
-    async fn text(&self, path: &str) -> String {
-        let request = Request::get(format!("/v1/sessions/s{path}")).body(Body::empty()).unwrap();
-        let response = self.router.clone().oneshot(request).await.unwrap();
-        assert_eq!(response.status(), StatusCode::OK, "{path}");
-        String::from_utf8(response.into_body().collect().await.unwrap().to_bytes().to_vec()).unwrap()
-    }
-
-    async fn json(&self, path: &str) -> Value {
-        serde_json::from_str(&self.text(path).await).unwrap()
-    }
-
-    fn lines_of(&self, primitive: PrimitiveId) -> Vec<u64> {
-        let lines = self.world.lines.iter().filter(|line| line.primitive == Some(primitive));
-        lines.map(|line| line.id.get()).collect()
-    }
-}
+use slam::map::PrimitiveId;
 
 #[tokio::test]
 async fn lines_are_told_with_their_ends_and_pluecker_coordinates() {

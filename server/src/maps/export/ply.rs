@@ -2,6 +2,7 @@
 
 use super::Export;
 use crate::error::ApiError;
+use crate::model::Scale;
 use slam::map::PrimitiveId;
 use std::fmt::Write;
 
@@ -18,8 +19,8 @@ const PALETTE: [Colour; 6] =
 pub(super) async fn write(export: &mut Export) -> Result<(), ApiError> {
     let (n_points, n_lines) = export.snapshot.n_landmarks(export.submap).await?;
     let scale = match export.units.scale() {
-        crate::rest::model::Scale::Metric => "metres",
-        crate::rest::model::Scale::UpToScale => "map units",
+        Scale::Metric => "metres",
+        Scale::UpToScale => "map units",
     };
     let head = format!(
         "ply\nformat ascii 1.0\ncomment points as vertices, lines as edges; lengths in {scale}\n\

@@ -3,9 +3,9 @@
 //! Poses are camera_from_world there as in the map, with the same axes. Pixels are not: COLMAP's origin is the corner of
 //! the top-left pixel, the map's its centre, so everything in pixels moves by half a pixel.
 
-use super::{Export, Part};
+use super::{ColmapPart, Export};
 use crate::error::ApiError;
-use crate::options::engine_config;
+use crate::options::{SessionOptions, engine_config};
 use geometry::{CameraModel, CameraParameters};
 use slam::map::KeyframeId;
 use std::collections::BTreeMap;
@@ -20,17 +20,17 @@ const GREY: &str = "200 200 200";
 /// COLMAP's mark for an error that was not computed.
 const NO_ERROR: &str = "-1";
 
-pub(super) async fn write(export: &mut Export, part: Part) -> Result<(), ApiError> {
+pub(super) async fn write(export: &mut Export, part: ColmapPart) -> Result<(), ApiError> {
     match part {
-        Part::Cameras => {
+        ColmapPart::Cameras => {
             let record = export.snapshot.record();
             let camera = camera_line(&record.refined_camera().unwrap_or_else(|| record.camera.clone()));
             let head = "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n";
             export.out.write(head).await?;
             export.out.write(&camera).await
         }
-        Part::Images => write_images(export).await,
-        Part::Points3D => write_points(export).await,
+        ColmapPart::Images => write_images(export).await,
+        ColmapPart::Points3D => write_points(export).await,
     }
 }
 
@@ -60,17 +60,17 @@ fn camera_line(camera: &CameraParameters) -> String {
 }
 
 /// Which point each keypoint sees, by key frame.
-type Sightings = BTreeMap<KeyframeId, BTreeMap<u32, u64>>;
+type SeenPoints = BTreeMap<KeyframeId, BTreeMap<u32, u64>>;
 
-async fn read_sightings(export: &mut Export) -> Result<Sightings, ApiError> {
-    let (mut sightings, mut after) = (Sightings::new(), None);
+async fn read_seen_points(export: &mut Export) -> Result<SeenPoints, ApiError> {
+    let (mut seen_points, mut after) = (SeenPoints::new(), None);
     loop {
         let points = export.snapshot.points_after(after, export.submap).await?;
-        let Some(last) = points.last() else { return Ok(sightings) };
+        let Some(last) = points.last() else { return Ok(seen_points) };
         after = Some(last.id);
         for point in &points {
             for seen in &point.observations {
-                sightings.entry(seen.keyframe).or_default().insert(seen.feature_idx, point.id.get());
+                seen_points.entry(seen.keyframe).or_default().insert(seen.feature_idx, point.id.get());
             }
         }
     }
@@ -81,7 +81,7 @@ async fn write_images(export: &mut Export) -> Result<(), ApiError> {
                 #   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n\
                 #   POINTS2D[] as (X, Y, POINT3D_ID)\n";
     export.out.write(head).await?;
-    let sightings = read_sightings(export).await?;
+    let seen_points = read_seen_points(export).await?;
     let [factor_x, factor_y] = full_from_working(export)?;
     let wanted = export.submap;
     let mut after = None;
@@ -96,7 +96,7 @@ async fn write_images(export: &mut Export) -> Result<(), ApiError> {
                 "{id} {} {} {} {} {} {} {} 1 keyframe_{id:06}\n",
                 pose.qw, pose.qx, pose.qy, pose.qz, pose.tx, pose.ty, pose.tz
             );
-            let seen = sightings.get(&record.id);
+            let seen = seen_points.get(&record.id);
             for (idx, [x, y]) in export.snapshot.keypoints(record.id).await?.into_iter().enumerate() {
                 let x = (f64::from(x) + HALF_PIXEL) * factor_x;
                 let y = (f64::from(y) + HALF_PIXEL) * factor_y;
@@ -116,7 +116,7 @@ async fn write_images(export: &mut Export) -> Result<(), ApiError> {
 fn full_from_working(export: &Export) -> Result<[f64; 2], ApiError> {
     let record = export.snapshot.record();
     let camera = record.checked_camera()?;
-    let working = engine_config(&record.options)?.working_camera(&camera);
+    let working = engine_config(&SessionOptions::from(record.options.clone()))?.working_camera(&camera);
     let factor = |full: u32, working: u32| f64::from(full) / f64::from(working);
     Ok([factor(camera.width(), working.width()), factor(camera.height(), working.height())])
 }

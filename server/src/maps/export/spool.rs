@@ -1,8 +1,8 @@
 //! A file without a name that is written once and read once.
 
 use crate::error::{ApiError, ErrorCode};
-use axum::body::Body;
 use bytes::{Bytes, BytesMut};
+use futures_util::Stream;
 use std::io::{self, SeekFrom};
 use std::path::PathBuf;
 use tokio::fs::File;
@@ -17,6 +17,7 @@ const CHUNK_BYTES: usize = 64 << 10;
 pub(super) struct Spool {
     file: File,
     buffer: String,
+    n_bytes: u64,
 }
 
 impl Spool {
@@ -24,12 +25,13 @@ impl Spool {
     pub async fn new(folder: PathBuf) -> Result<Self, ApiError> {
         let made = tokio::task::spawn_blocking(move || tempfile::tempfile_in(folder)).await;
         let file = made.map_err(ApiError::internal)?.map_err(failed)?;
-        Ok(Self { file: File::from_std(file), buffer: String::new() })
+        Ok(Self { file: File::from_std(file), buffer: String::new(), n_bytes: 0 })
     }
 
     /// Appends text.
     pub async fn write(&mut self, text: &str) -> Result<(), ApiError> {
         self.buffer.push_str(text);
+        self.n_bytes += text.len() as u64;
         if self.buffer.len() >= CHUNK_BYTES { self.flush().await } else { Ok(()) }
     }
 
@@ -39,15 +41,20 @@ impl Spool {
         Ok(())
     }
 
-    /// What was written, from its beginning.
-    pub async fn into_body(mut self) -> Result<Body, ApiError> {
+    /// How much was written.
+    pub fn n_bytes(&self) -> u64 {
+        self.n_bytes
+    }
+
+    /// What was written, from its beginning, read as it is taken.
+    pub async fn into_chunks(mut self) -> Result<impl Stream<Item = io::Result<Bytes>> + use<>, ApiError> {
         self.flush().await?;
         self.file.flush().await.map_err(failed)?;
         self.file.seek(SeekFrom::Start(0)).await.map_err(failed)?;
         // One chunk is read ahead; then the reader waits for the client.
         let (sender, chunks) = mpsc::channel(1);
         tokio::spawn(send(self.file, sender));
-        Ok(Body::from_stream(ReceiverStream::new(chunks)))
+        Ok(ReceiverStream::new(chunks))
     }
 }
 
@@ -77,7 +84,12 @@ fn failed(error: io::Error) -> ApiError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use http_body_util::BodyExt;
+    use futures_util::TryStreamExt;
+
+    async fn read(spool: Spool) -> Vec<u8> {
+        let chunks: Vec<Bytes> = spool.into_chunks().await.unwrap().try_collect().await.unwrap();
+        chunks.concat()
+    }
 
     #[tokio::test]
     async fn what_is_written_is_read_and_no_file_is_left() {
@@ -90,9 +102,9 @@ mod tests {
             expected.push_str(&text);
         }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-        let body = spool.into_body().await.unwrap().collect().await.unwrap().to_bytes();
-        assert_eq!(body, expected);
+        assert_eq!(spool.n_bytes(), expected.len() as u64);
+        assert_eq!(read(spool).await, expected.as_bytes());
         let empty = Spool::new(folder.path().to_owned()).await.unwrap();
-        assert!(empty.into_body().await.unwrap().collect().await.unwrap().to_bytes().is_empty());
+        assert!(read(empty).await.is_empty());
     }
 }

@@ -2,11 +2,8 @@
 
 use super::Export;
 use crate::error::ApiError;
-use crate::rest::keyframes::Keyframe;
-use crate::rest::lines::Line;
-use crate::rest::model::Camera;
-use crate::rest::points::Point;
-use crate::rest::primitives::Primitive;
+use crate::maps::{Keyframe, Line, Point, Primitive};
+use crate::model::Camera;
 use serde::Serialize;
 use slam::map::PrimitiveId;
 use std::collections::BTreeMap;

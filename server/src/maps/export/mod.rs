@@ -1,0 +1,144 @@
+//! The whole map as a file.
+//!
+//! A file needs to know how much is in it before it begins, and should be of one commit. So the map is read from one
+//! commit into a file without a name, at the speed of the disk, and sent from there at the speed of the client: a slow
+//! client keeps neither the database's log from being folded nor the map in memory.
+
+mod colmap;
+mod json;
+mod ply;
+mod spool;
+
+use super::MapQueries;
+use crate::error::ApiError;
+use crate::model::Units;
+use crate::session::SessionId;
+use bytes::Bytes;
+use futures_util::Stream;
+use slam::map::SubmapId;
+use spool::Spool;
+use std::collections::BTreeMap;
+use store::MapSnapshot;
+
+/// How a map is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MapFormat {
+    /// Polygon file (ASCII): points as vertices, lines as edges between two vertices each.
+    Ply,
+    /// One object with key frames, points, lines and primitives.
+    Json,
+    /// A file of COLMAP's text model.
+    Colmap(ColmapPart),
+}
+
+/// A file of a COLMAP text model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ColmapPart {
+    /// `cameras.txt`: the session's camera.
+    Cameras,
+    /// `images.txt`: key frames with their keypoints.
+    Images,
+    /// `points3D.txt`: points with who sees them.
+    Points3D,
+}
+
+/// A map in a file, ready to be sent.
+pub struct MapFile {
+    /// What the bytes are.
+    pub media_type: &'static str,
+    /// What the file may be called: letters, digits, `-`, `_` and `.`.
+    pub name: String,
+    /// How long it is.
+    pub n_bytes: u64,
+    spool: Spool,
+}
+
+impl MapFile {
+    /// The bytes, read as they are taken.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub async fn into_chunks(self) -> Result<impl Stream<Item = std::io::Result<Bytes>> + use<>, ApiError> {
+        self.spool.into_chunks().await
+    }
+}
+
+impl MapQueries {
+    /// The map as a file, as of one commit: of one submap, or, if none is given, in JSON of all of them and otherwise of
+    /// the one with the most key frames, as submaps do not share a frame of reference.
+    ///
+    /// # Errors
+    /// If there is no such session, or no room on the disk.
+    pub async fn export(
+        &self,
+        id: &SessionId,
+        format: MapFormat,
+        submap: Option<SubmapId>,
+    ) -> Result<MapFile, ApiError> {
+        let snapshot = self.store.snapshot(id.as_str()).await?;
+        let units = Units::new(snapshot.record().metres_per_unit);
+        let out = Spool::new(self.export_dir.clone()).await?;
+        let mut export = Export { units, snapshot, submap, out };
+        if submap.is_none() && format != MapFormat::Json {
+            export.submap = Some(export.largest_submap().await?);
+        }
+        match format {
+            MapFormat::Ply => ply::write(&mut export).await?,
+            MapFormat::Json => json::write(&mut export).await?,
+            MapFormat::Colmap(part) => colmap::write(&mut export, part).await?,
+        }
+        // The snapshot ends here, before the client reads the first byte.
+        let Export { out: spool, .. } = export;
+        let (media_type, name) = (format.media_type(), format.file_name(id));
+        Ok(MapFile { media_type, name, n_bytes: spool.n_bytes(), spool })
+    }
+}
+
+impl MapFormat {
+    fn media_type(self) -> &'static str {
+        match self {
+            Self::Ply => "application/octet-stream",
+            Self::Json => "application/json",
+            Self::Colmap(_) => "text/plain; charset=utf-8",
+        }
+    }
+
+    fn file_name(self, id: &SessionId) -> String {
+        match self {
+            Self::Ply => format!("{id}.ply"),
+            Self::Json => format!("{id}.json"),
+            Self::Colmap(ColmapPart::Cameras) => "cameras.txt".to_owned(),
+            Self::Colmap(ColmapPart::Images) => "images.txt".to_owned(),
+            Self::Colmap(ColmapPart::Points3D) => "points3D.txt".to_owned(),
+        }
+    }
+}
+
+/// A map on its way into a file.
+struct Export {
+    snapshot: MapSnapshot,
+    units: Units,
+    /// The submap wanted; `None` for all.
+    submap: Option<SubmapId>,
+    out: Spool,
+}
+
+impl Export {
+    /// The submap with the most key frames, of equal ones the first.
+    async fn largest_submap(&mut self) -> Result<SubmapId, ApiError> {
+        let mut n_keyframes: BTreeMap<SubmapId, usize> = BTreeMap::new();
+        let mut after = None;
+        loop {
+            let step = self.snapshot.keyframes_after(after).await?;
+            let Some(last) = step.last() else { break };
+            after = Some(last.id);
+            step.iter().for_each(|record| *n_keyframes.entry(record.submap).or_default() += 1);
+        }
+        let largest = n_keyframes.iter().max_by_key(|(submap, n)| (**n, std::cmp::Reverse(**submap)));
+        Ok(largest.map_or_else(SubmapId::default, |(submap, _)| *submap))
+    }
+
+    fn wants(&self, submap: SubmapId) -> bool {
+        self.submap.is_none_or(|wanted| wanted == submap)
+    }
+}

@@ -1,0 +1,41 @@
+//! Where the camera went.
+
+use super::{Batches, MapQueries, Scaled, SubmapChoice, TrajectoryKind, TrajectoryPose, batches};
+use crate::error::ApiError;
+use crate::session::SessionId;
+use store::TrajectoryFilter;
+
+/// Which poses of a trajectory are wanted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TrajectoryQuery {
+    /// Every frame's or key frames'.
+    pub kind: TrajectoryKind,
+    /// First time, nanoseconds.
+    pub from_timestamp_ns: Option<i64>,
+    /// Last time, nanoseconds.
+    pub to_timestamp_ns: Option<i64>,
+    /// Poses of these submaps.
+    pub submaps: SubmapChoice,
+}
+
+impl MapQueries {
+    /// The wanted poses in the order of their times, as the map stands now.
+    ///
+    /// # Errors
+    /// If there is no such session.
+    pub async fn trajectory(
+        &self,
+        id: &SessionId,
+        query: &TrajectoryQuery,
+    ) -> Result<Scaled<Batches<TrajectoryPose>>, ApiError> {
+        let units = self.units(id).await?;
+        let TrajectoryQuery { kind, from_timestamp_ns, to_timestamp_ns, submaps } = *query;
+        let filter = TrajectoryFilter { from_timestamp_ns, to_timestamp_ns, submaps };
+        let poses = self.store.trajectory(id.as_str(), kind, filter).await?;
+        let scaled = move |pose: TrajectoryPose| TrajectoryPose {
+            world_from_camera: units.scaled(&pose.world_from_camera),
+            ..pose
+        };
+        Ok(Scaled::new(units, batches(poses, scaled)))
+    }
+}

@@ -1,0 +1,140 @@
+//! A session as callers see it: its row, under what is known of it while it is in memory.
+
+use crate::options::SessionOptions;
+use geometry::CameraParameters;
+use slam::map::FrameState;
+use store::SessionRecord;
+
+/// How a loaded session is doing, as of its last frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Live {
+    /// How tracking the last frame ended, if there was one since the session was loaded.
+    pub state: Option<FrameState>,
+    /// Number and time of the last frame, nanoseconds, if there ever was one.
+    pub last_frame: Option<(u64, i64)>,
+    /// Frames tracked since the session was loaded.
+    pub n_frames: u64,
+    /// Key frames in the map.
+    pub n_keyframes: usize,
+    /// Points in the map.
+    pub n_points: usize,
+    /// Lines in the map.
+    pub n_lines: usize,
+    /// Global primitives in the map.
+    pub n_primitives: usize,
+}
+
+/// How a session in memory is doing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoadedView {
+    /// As of its last frame.
+    pub live: Live,
+    /// Whether a writer is connected.
+    pub has_writer: bool,
+}
+
+/// A session, as stored and as it is in memory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SessionView {
+    /// Its name.
+    pub id: String,
+    /// Its camera, as it was given.
+    pub camera: CameraParameters,
+    /// Its camera as it was found to be; `None` while it is used as it was given.
+    pub refined_camera: Option<CameraParameters>,
+    /// What it runs with.
+    pub options: SessionOptions,
+    /// Wall-clock time of creation, nanoseconds since 1970.
+    pub created_at_ns: i64,
+    /// How tracking its last frame ended; `None` before the first.
+    pub state: Option<FrameState>,
+    /// Metres per map unit; `None` while the scale is free.
+    pub metres_per_unit: Option<f64>,
+    /// Frames of the trajectory.
+    pub n_frames: u64,
+    /// Key frames.
+    pub n_keyframes: u64,
+    /// Points.
+    pub n_points: u64,
+    /// Lines.
+    pub n_lines: u64,
+    /// Global primitives.
+    pub n_primitives: u64,
+    /// Submaps that have key frames.
+    pub n_submaps: u32,
+    /// Every frame up to this one is in the database.
+    pub durable_sequence: Option<u64>,
+    /// The frame the server expects next.
+    pub next_sequence: u64,
+    /// Time of the last frame, nanoseconds: later ones must be after it. `None` before the first.
+    pub last_timestamp_ns: Option<i64>,
+    /// Whether the session is in memory.
+    pub loaded: bool,
+    /// Whether a writer is connected.
+    pub has_writer: bool,
+}
+
+impl SessionView {
+    /// What is stored of a session, and how it is doing if it is in memory.
+    pub fn of(record: SessionRecord, loaded: Option<LoadedView>) -> Self {
+        let mut view = Self::stored(record);
+        if let Some(loaded) = loaded {
+            view.update(loaded);
+        }
+        view
+    }
+
+    fn stored(record: SessionRecord) -> Self {
+        let refined_camera = record.refined_camera();
+        let SessionRecord {
+            id,
+            camera,
+            correction: _,
+            options,
+            created_at_ns,
+            state,
+            metres_per_unit,
+            last_frame,
+            counts,
+        } = record;
+        let durable_sequence = last_frame.map(|(sequence, _)| sequence);
+        Self {
+            id,
+            camera,
+            refined_camera,
+            options: options.into(),
+            created_at_ns,
+            state: last_frame.map(|_| state),
+            metres_per_unit,
+            n_frames: counts.n_frames,
+            n_keyframes: counts.n_keyframes,
+            n_points: counts.n_points,
+            n_lines: counts.n_lines,
+            n_primitives: counts.n_primitives,
+            n_submaps: counts.n_submaps,
+            durable_sequence,
+            next_sequence: durable_sequence.map_or(0, |sequence| sequence.saturating_add(1)),
+            last_timestamp_ns: last_frame.map(|(_, timestamp_ns)| timestamp_ns),
+            loaded: false,
+            has_writer: false,
+        }
+    }
+
+    /// A session in memory is ahead of its row.
+    fn update(&mut self, loaded: LoadedView) {
+        let LoadedView { live, has_writer } = loaded;
+        self.loaded = true;
+        self.has_writer = has_writer;
+        self.state = live.state.or(self.state);
+        if let Some((sequence, timestamp_ns)) = live.last_frame {
+            self.next_sequence = self.next_sequence.max(sequence.saturating_add(1));
+            self.last_timestamp_ns = self.last_timestamp_ns.max(Some(timestamp_ns));
+        }
+        if live.state.is_some() {
+            self.n_keyframes = live.n_keyframes as u64;
+            self.n_points = live.n_points as u64;
+            self.n_lines = live.n_lines as u64;
+            self.n_primitives = live.n_primitives as u64;
+        }
+    }
+}

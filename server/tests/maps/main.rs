@@ -1,0 +1,11 @@
+//! Questions about maps made by hand, asked of both interfaces.
+
+mod api;
+mod graphs;
+mod grpc;
+mod rest;
+mod rounded;
+mod routes;
+#[allow(dead_code)]
+#[path = "../../../store/tests/it/world.rs"]
+mod world;
