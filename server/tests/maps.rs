@@ -1,9 +1,5 @@
 //! What the HTTP interface says of maps made by hand, to the last number.
 
-#[allow(dead_code)]
-#[path = "../../store/tests/it/world.rs"]
-mod world;
-
 use axum::Router;
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
@@ -13,8 +9,9 @@ use server::{Config, Service, open_store, rest};
 use slam::map::{MapParts, PrimitiveId};
 use std::sync::Arc;
 use tempfile::TempDir;
+use testkit::stored::{TRACKED, new_session};
+use testkit::world::{SMALL, first_update, ln, pr, structured};
 use tower::ServiceExt;
-use world::{SMALL, TRACKED, first_update, ln, new_session, pr, structured};
 
 /// The interface over a database that has a map, `s`.
 struct Api {

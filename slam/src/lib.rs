@@ -18,6 +18,8 @@ mod mapping;
 pub mod pipeline;
 mod places;
 pub mod report;
+#[cfg(test)]
+mod test_fixtures;
 mod tracking;
 mod vanishing;
 
