@@ -4,7 +4,7 @@ use thiserror::Error;
 use tonic::Code;
 use tonic_types::StatusExt;
 
-use crate::files::FileError;
+use crate::source::FrameError;
 
 /// Why something asked of the server was not done.
 #[derive(Debug, Error)]
@@ -44,9 +44,14 @@ pub enum ClientError {
     /// The server answered what the contract does not allow.
     #[error("the server's answer cannot be used: {0}")]
     Protocol(String),
-    /// An image or list of the recording could not be read.
-    #[error(transparent)]
-    File(#[from] FileError),
+    /// The source could not give a frame.
+    #[error("frame {frame_idx}: {reason}")]
+    Frame {
+        /// Its place in the source.
+        frame_idx: usize,
+        /// Why.
+        reason: FrameError,
+    },
     /// What came could not be written.
     #[error("cannot write")]
     Write(#[from] std::io::Error),

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use geometry::CameraParameters;
 use proto::v1;
 use proto::v1::slam_service_client::SlamServiceClient;
 use proto::v1::stream_frames_request::Message as Sent;
@@ -11,6 +12,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::{Channel, Endpoint, Uri};
 use tonic::{Response, Status, Streaming};
 
+use crate::convert::camera_message;
 use crate::error::{ClientError, causes};
 
 /// The response header in which the server tells the port of its HTTP interface.
@@ -64,14 +66,22 @@ impl SlamClient {
         self.server.to_string().trim_end_matches('/').to_owned()
     }
 
-    /// Makes a session for one camera; with an empty id the server chooses one.
+    /// Makes a session for one camera; with an empty id the server chooses one. What the options leave out takes the
+    /// server's default.
     ///
     /// # Errors
     /// `ALREADY_EXISTS` if the id is taken, `INVALID_ARGUMENT` if the camera is refused.
     pub async fn create_session(
         &mut self,
-        request: v1::CreateSessionRequest,
+        session_id: &str,
+        camera: &CameraParameters,
+        options: v1::SessionOptions,
     ) -> Result<v1::Session, ClientError> {
+        let request = v1::CreateSessionRequest {
+            session_id: session_id.to_owned(),
+            camera: Some(camera_message(camera)),
+            options: Some(options),
+        };
         let answer = self.grpc.create_session(request).await;
         self.unpack(answer)
     }
@@ -117,6 +127,59 @@ impl SlamClient {
         let request = v1::DeleteSessionRequest { session_id: session_id.to_owned() };
         let answer = self.grpc.delete_session(request).await;
         self.unpack(answer).map(|_| ())
+    }
+
+    /// Changes a session's options; they hold from its next stream on. What an option leaves out stays as it is.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, `INVALID_ARGUMENT`, or `FAILED_PRECONDITION` while a writer is connected.
+    pub async fn update_session(
+        &mut self,
+        session_id: &str,
+        options: v1::SessionOptions,
+    ) -> Result<v1::Session, ClientError> {
+        let request = v1::UpdateSessionRequest { session_id: session_id.to_owned(), options: Some(options) };
+        let answer = self.grpc.update_session(request).await;
+        self.unpack(answer)
+    }
+
+    /// Says how many metres a map unit of the session is, or with `None` frees the scale.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, or `INVALID_ARGUMENT` if it is not a positive number.
+    pub async fn set_scale(
+        &mut self,
+        session_id: &str,
+        metres_per_unit: Option<f64>,
+    ) -> Result<v1::Session, ClientError> {
+        let request = v1::SetScaleRequest { session_id: session_id.to_owned(), metres_per_unit };
+        let answer = self.grpc.set_scale(request).await;
+        self.unpack(answer)
+    }
+
+    /// Locates one image in the map of a session without changing it. A place that is not found is an answer: its
+    /// state is `LOST` and its reason a sentence.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, or `INVALID_ARGUMENT` if the image cannot be used.
+    pub async fn localize(
+        &mut self,
+        session_id: &str,
+        image: v1::Image,
+    ) -> Result<v1::LocalizeResponse, ClientError> {
+        let request = v1::LocalizeRequest { session_id: session_id.to_owned(), image: Some(image) };
+        let answer = self.grpc.localize(request).await;
+        self.unpack(answer)
+    }
+
+    /// What happens in a session from now on.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`.
+    pub async fn watch(&mut self, session_id: &str) -> Result<Events, ClientError> {
+        let request = v1::WatchMapRequest { session_id: session_id.to_owned() };
+        let answer = self.grpc.watch_map(request).await;
+        Ok(Events { events: self.unpack(answer)?, server: self.server() })
     }
 
     /// Opens a stream of frames into a session and waits until the server has it ready.
@@ -203,6 +266,27 @@ impl Answers {
     /// If the connection broke or the server ended the stream.
     pub async fn next(&mut self) -> Result<Option<Received>, ClientError> {
         next(&mut self.answers, &self.server).await
+    }
+}
+
+/// What happens in a session, as it happens.
+pub struct Events {
+    events: Streaming<v1::SessionEvent>,
+    server: String,
+}
+
+impl Events {
+    /// The next event, the session itself first; `None` when the server shuts down.
+    ///
+    /// # Errors
+    /// If the connection broke or the session was deleted.
+    pub async fn next(&mut self) -> Result<Option<v1::session_event::Event>, ClientError> {
+        match self.events.message().await {
+            Ok(None) => Ok(None),
+            Ok(Some(v1::SessionEvent { event: Some(event) })) => Ok(Some(event)),
+            Ok(Some(_)) => Err(ClientError::protocol("an event is empty")),
+            Err(status) => Err(ClientError::from_status(&self.server, &status)),
+        }
     }
 }
 

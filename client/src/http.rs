@@ -4,10 +4,24 @@ use std::fmt;
 use std::io::Write;
 use std::str::FromStr;
 
+use bytes::Bytes;
+use http_body_util::{BodyExt, Empty, Limited};
+use hyper::body::Incoming;
+use hyper_util::client::legacy::Client;
+use hyper_util::client::legacy::connect::HttpConnector;
+use hyper_util::rt::TokioExecutor;
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
+use recordings::Trajectory;
 use serde::Deserialize;
+use tonic::codegen::http::{StatusCode, Uri};
 
-use crate::Trajectory;
 use crate::error::{ClientError, causes};
+
+/// The longest body of an error that is read, bytes: a problem is a few hundred.
+const MAX_PROBLEM_BYTES: usize = 64 << 10;
+
+/// What must be escaped in a segment of a path [RFC 3986, section 2.3].
+const NOT_UNRESERVED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
 
 /// How a trajectory is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,7 +90,7 @@ named!(TrajectoryKind, "a kind of trajectory");
 #[derive(Clone, Debug)]
 pub struct HttpClient {
     address: String,
-    http: reqwest::Client,
+    http: Client<HttpConnector, Empty<Bytes>>,
 }
 
 /// The body of an error [RFC 9457].
@@ -90,7 +104,7 @@ impl HttpClient {
     /// The interface at an address such as `http://127.0.0.1:8080`.
     pub fn new(address: impl Into<String>) -> Self {
         let address = address.into().trim_end_matches('/').to_owned();
-        Self { address, http: reqwest::Client::new() }
+        Self { address, http: Client::builder(TokioExecutor::new()).build_http() }
     }
 
     /// Writes a session's trajectory to `out` as it comes.
@@ -104,13 +118,14 @@ impl HttpClient {
         kind: TrajectoryKind,
         out: &mut impl Write,
     ) -> Result<(), ClientError> {
-        let url = format!("{}/v1/sessions/{session_id}/trajectory?format={format}&kind={kind}", self.address);
-        let mut response = self.http.get(url).send().await.map_err(|error| self.unreachable(error))?;
-        if !response.status().is_success() {
-            return Err(refusal(response).await);
-        }
-        while let Some(chunk) = response.chunk().await.map_err(|error| self.unreachable(error))? {
-            out.write_all(&chunk)?;
+        let session_id = utf8_percent_encode(session_id, NOT_UNRESERVED);
+        let path = format!("/v1/sessions/{session_id}/trajectory?format={format}&kind={kind}");
+        let mut body = self.get(&path).await?;
+        while let Some(frame) = body.frame().await {
+            let frame = frame.map_err(|error| self.unreachable(&error))?;
+            if let Some(bytes) = frame.data_ref() {
+                out.write_all(bytes)?;
+            }
         }
         Ok(out.flush()?)
     }
@@ -122,23 +137,38 @@ impl HttpClient {
     pub async fn trajectory(&self, session_id: &str) -> Result<Trajectory, ClientError> {
         let mut tum = Vec::new();
         self.write_trajectory(session_id, TrajectoryFormat::Tum, TrajectoryKind::Frames, &mut tum).await?;
-        Ok(Trajectory::parse_tum(&String::from_utf8_lossy(&tum))?)
+        Trajectory::parse_tum(&String::from_utf8_lossy(&tum))
+            .map_err(|error| ClientError::protocol(error.to_string()))
     }
 
-    fn unreachable(&self, error: reqwest::Error) -> ClientError {
-        ClientError::Unreachable { server: self.address.clone(), reason: causes(&error.without_url()) }
+    /// The body of a successful answer.
+    async fn get(&self, path: &str) -> Result<Incoming, ClientError> {
+        let uri: Uri = format!("{}{path}", self.address).parse().map_err(|_| ClientError::Address {
+            address: self.address.clone(),
+            reason: "http://HOST:PORT expected".to_owned(),
+        })?;
+        let response = self.http.get(uri).await.map_err(|error| self.unreachable(&error))?;
+        if response.status().is_success() {
+            Ok(response.into_body())
+        } else {
+            Err(refusal(response.status(), response.into_body()).await)
+        }
+    }
+
+    fn unreachable(&self, error: &(dyn std::error::Error + 'static)) -> ClientError {
+        ClientError::Unreachable { server: self.address.clone(), reason: causes(error) }
     }
 }
 
-async fn refusal(response: reqwest::Response) -> ClientError {
-    let status = response.status();
+async fn refusal(status: StatusCode, body: Incoming) -> ClientError {
     let code = match status.as_u16() {
         400 => tonic::Code::InvalidArgument,
         404 => tonic::Code::NotFound,
         503 => tonic::Code::Unavailable,
         _ => tonic::Code::Unknown,
     };
-    let problem = response.json::<Problem>().await.ok();
+    let body = Limited::new(body, MAX_PROBLEM_BYTES).collect().await.ok();
+    let problem = body.and_then(|body| serde_json::from_slice::<Problem>(&body.to_bytes()).ok());
     let sentence = problem.and_then(|problem| problem.detail.or(problem.title));
     ClientError::Refused {
         code,

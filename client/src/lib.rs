@@ -1,27 +1,47 @@
-//! Client library of the SLAM service: streams recordings into sessions, fetches trajectories, and measures them.
+//! Typed client of the SLAM service: streams frames, asks for sessions, places and trajectories.
 //!
-//! * [`SlamClient`]: the typed client of the gRPC service; [`HttpClient`] fetches trajectories.
-//! * [`stream_frames`]: streams a [`FrameSource`], such as a [`dataset::Recording`], until every frame is
-//!   answered and saved, across broken connections.
-//! * [`Trajectory`] and [`evaluation::evaluate`]: how far an estimated trajectory is from the true one.
+//! * [`SlamClient`]: sessions, localization, events and open streams, by gRPC.
+//! * [`stream_frames`]: streams a [`FrameSource`], such as a [`Recording`], until every frame is answered and saved.
+//!   A connection that breaks is made again; each frame is mapped exactly once.
+//! * [`HttpClient`]: trajectories in every format.
+//!
+//! A recording, streamed into a session of its own; `SERVER` is where the service is, such as `http://127.0.0.1:50051`:
 //!
 //! ```
-//! use client::{Trajectory, evaluation::{evaluate, EvaluationOptions}};
+//! use client::{FrameSource, HttpClient, Recording, SlamClient, StreamPlan, stream_frames, v1};
+//! use std::{path::Path, sync::Arc};
 //!
-//! let truth = Trajectory::parse_tum("0.0 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0 1\n0.2 1 1 0 0 0 0 1\n")?;
-//! let twice = Trajectory::parse_tum("0.0 5 0 0 0 0 0 1\n0.1 7 0 0 0 0 0 1\n0.2 7 2 0 0 0 0 1\n")?;
-//! let evaluation = evaluate(&truth, &twice, &EvaluationOptions::default())?;
-//! assert!(evaluation.ate_rmse < 1e-12);
-//! assert!((evaluation.scale - 0.5).abs() < 1e-12);
+//! async fn map(server: &str, folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
+//!     let recording = Recording::open(folder, None)?;
+//!     let mut client = SlamClient::connect(server).await?;
+//!     client.create_session("kitchen", recording.camera.parameters(), v1::SessionOptions::default()).await?;
+//!     let source: Arc<dyn FrameSource> = Arc::new(recording);
+//!     let plan = StreamPlan::lossless("kitchen", source.as_ref());
+//!     let summary = stream_frames(&mut client, &source, &plan, |event| println!("{event:?}")).await?;
+//!     let trajectory = HttpClient::new(client.http_address().await?).trajectory("kitchen").await?;
+//!     println!("{} of {} frames have a pose", trajectory.len(), summary.frames);
+//!     Ok(())
+//! }
+//! # // A server of its own and eight rendered frames: what is printed above is run here.
+//! # let runtime = tokio::runtime::Runtime::new()?;
+//! # runtime.block_on(async {
+//! #     let folder = tempfile::tempdir()?;
+//! #     let mut config = synthetic::SequenceConfig::preset(synthetic::Preset::RoomRich, 1);
+//! #     config.n_frames = Some(8);
+//! #     synthetic::Sequence::new(config)?.write_dataset(folder.path().join("room"))?;
+//! #     let server = server::Server::start(server::Config::local(folder.path())).await?;
+//! #     let address = format!("http://{}", server.grpc_addr);
+//! #     map(&address, &folder.path().join("room")).await?;
+//! #     let session = SlamClient::connect(&address).await?.session("kitchen").await?.ok_or("no session")?;
+//! #     assert_eq!(session.n_frames, 8);
+//! #     assert_eq!(server.shutdown().await, server::Shutdown::Complete);
+//! #     Ok::<(), Box<dyn std::error::Error>>(())
+//! # })?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-pub mod dataset;
-pub mod evaluation;
-
 mod convert;
 mod error;
-mod files;
 mod grpc;
 mod http;
 mod pacing;
@@ -29,18 +49,17 @@ mod placement;
 mod source;
 mod streaming;
 mod summary;
-mod time;
-mod trajectory;
 
 pub use convert::camera_message;
 pub use error::ClientError;
-pub use files::{FileError, count_data_lines};
-pub use grpc::{Answers, FrameSender, FrameStream, HTTP_PORT_HEADER, SlamClient};
+pub use grpc::{Answers, Events, FrameSender, FrameStream, HTTP_PORT_HEADER, SlamClient};
 pub use http::{HttpClient, TrajectoryFormat, TrajectoryKind};
 pub use pacing::Pacing;
 pub use placement::{Placement, SessionEnd};
-pub use source::{FrameSource, ReadyFrame, read_ahead};
+#[doc(no_inline)]
+pub use proto::v1;
+#[doc(no_inline)]
+pub use recordings::{FileError, Layout, Recording, StampedPose, Trajectory};
+pub use source::{FrameError, FrameSource, ReadyFrame, read_ahead};
 pub use streaming::{StreamEvent, StreamPlan, stream_frames};
 pub use summary::{CameraFinding, Distribution, FrameAnswer, StageSummary, StreamSummary};
-pub use time::{format_seconds, parse_seconds_ns};
-pub use trajectory::{StampedPose, Trajectory};

@@ -71,7 +71,7 @@ impl Placement {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::FileError;
+    use crate::FrameError;
     use proto::v1;
 
     /// Frames at these times.
@@ -86,7 +86,7 @@ mod tests {
             self.0[frame_idx]
         }
 
-        fn image(&self, _: usize) -> Result<v1::Image, FileError> {
+        fn image(&self, _: usize) -> Result<v1::Image, FrameError> {
             Ok(v1::Image::default())
         }
     }

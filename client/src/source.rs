@@ -5,13 +5,16 @@ use std::sync::Arc;
 use std::thread;
 
 use proto::v1;
+use recordings::Recording;
 use tokio::sync::mpsc;
 
-use crate::dataset::Recording;
-use crate::files::FileError;
+use crate::error::ClientError;
 
 /// Frames kept ready. At 0.4 MB a frame, stalls of the disk of a few frames are hidden at a few MB of memory.
 const DEPTH: usize = 8;
+
+/// Why a source cannot give a frame, in its own words.
+pub type FrameError = Box<dyn std::error::Error + Send + Sync>;
 
 /// Frames in the order of time, each of which can be had again: after a broken connection the server may ask
 /// for some that were sent before.
@@ -31,7 +34,7 @@ pub trait FrameSource: Send + Sync + 'static {
     ///
     /// # Errors
     /// If it cannot be read.
-    fn image(&self, frame_idx: usize) -> Result<v1::Image, FileError>;
+    fn image(&self, frame_idx: usize) -> Result<v1::Image, FrameError>;
 }
 
 impl FrameSource for Recording {
@@ -44,9 +47,9 @@ impl FrameSource for Recording {
     }
 
     /// The bytes of the file; the server tells PNG from JPEG.
-    fn image(&self, frame_idx: usize) -> Result<v1::Image, FileError> {
+    fn image(&self, frame_idx: usize) -> Result<v1::Image, FrameError> {
         let path = &self.frames[frame_idx].path;
-        let encoded = std::fs::read(path).map_err(|source| FileError::io(path, source))?;
+        let encoded = std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
         Ok(v1::Image { data: encoded.into(), ..v1::Image::default() })
     }
 }
@@ -68,15 +71,16 @@ pub struct ReadyFrame {
 pub fn read_ahead(
     source: Arc<dyn FrameSource>,
     range: Range<usize>,
-) -> mpsc::Receiver<Result<ReadyFrame, FileError>> {
+) -> mpsc::Receiver<Result<ReadyFrame, ClientError>> {
     let (sender, receiver) = mpsc::channel(DEPTH);
     thread::spawn(move || {
         for frame_idx in range {
-            let ready = source.image(frame_idx).map(|image| ReadyFrame {
-                frame_idx,
-                timestamp_ns: source.timestamp_ns(frame_idx),
-                image,
-            });
+            let ready = match source.image(frame_idx) {
+                Ok(image) => {
+                    Ok(ReadyFrame { frame_idx, timestamp_ns: source.timestamp_ns(frame_idx), image })
+                }
+                Err(reason) => Err(ClientError::Frame { frame_idx, reason }),
+            };
             let failed = ready.is_err();
             if sender.blocking_send(ready).is_err() || failed {
                 break;
@@ -89,7 +93,6 @@ pub fn read_ahead(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::path::PathBuf;
 
     /// Frames that carry their number; the fourth cannot be read.
     struct Numbered;
@@ -103,9 +106,9 @@ mod tests {
             1000 * frame_idx as i64
         }
 
-        fn image(&self, frame_idx: usize) -> Result<v1::Image, FileError> {
+        fn image(&self, frame_idx: usize) -> Result<v1::Image, FrameError> {
             if frame_idx == 3 {
-                return Err(FileError::content(&PathBuf::from("3.png"), "is gone"));
+                return Err("3.png is gone".into());
             }
             Ok(v1::Image { data: vec![frame_idx as u8].into(), ..Default::default() })
         }
@@ -119,7 +122,7 @@ mod tests {
             assert_eq!((ready.frame_idx, ready.timestamp_ns), (frame_idx, 1000 * frame_idx as i64));
             assert_eq!(&ready.image.data[..], [frame_idx as u8]);
         }
-        assert_eq!(receiver.blocking_recv().unwrap().unwrap_err().to_string(), "3.png: is gone");
+        assert_eq!(receiver.blocking_recv().unwrap().unwrap_err().to_string(), "frame 3: 3.png is gone");
         assert!(receiver.blocking_recv().is_none());
     }
 }

@@ -9,7 +9,6 @@ use proto::v1::stream_frames_response::Message as Received;
 use tokio::task::JoinHandle;
 
 use crate::error::ClientError;
-use crate::files::FileError;
 use crate::grpc::{Answers, FrameSender, SlamClient};
 use crate::pacing::Pacing;
 use crate::placement::Placement;
@@ -47,6 +46,29 @@ pub struct StreamPlan {
     pub placement: Placement,
     /// Whether to end the stream of a present writer instead of being refused.
     pub take_over: bool,
+}
+
+impl StreamPlan {
+    /// All frames of a source from the session's first on, every one of them, as fast as the server takes them.
+    pub fn lossless(session_id: impl Into<String>, source: &dyn FrameSource) -> Self {
+        Self {
+            session_id: session_id.into(),
+            policy: v1::StreamPolicy::Lossless,
+            pacing: Pacing::Unpaced,
+            range: 0..source.len(),
+            placement: Placement::AS_RECORDED,
+            take_over: false,
+        }
+    }
+
+    /// All frames of a source at the pace of their times; the server drops those it has no time for.
+    pub fn realtime(session_id: impl Into<String>, source: &dyn FrameSource) -> Self {
+        Self {
+            policy: v1::StreamPolicy::Realtime,
+            pacing: Pacing::Recorded,
+            ..Self::lossless(session_id, source)
+        }
+    }
 }
 
 /// What there is to see while frames are streamed.
@@ -207,7 +229,7 @@ async fn send(
     source: Arc<dyn FrameSource>,
     range: Range<usize>,
     plan: StreamPlan,
-) -> Result<(), FileError> {
+) -> Result<(), ClientError> {
     let (first_idx, first_ns) = (range.start, source.timestamp_ns(range.start));
     let mut frames = read_ahead(source, range);
     let started = tokio::time::Instant::now();
@@ -229,13 +251,16 @@ async fn send(
 
 /// The sender's error, if it had one. If the stream has ended, it is not waited for: it may be asleep until its
 /// next frame is due.
-async fn finish_sending(sending: JoinHandle<Result<(), FileError>>, ended: bool) -> Result<(), ClientError> {
+async fn finish_sending(
+    sending: JoinHandle<Result<(), ClientError>>,
+    ended: bool,
+) -> Result<(), ClientError> {
     if ended && !sending.is_finished() {
         sending.abort();
         return Ok(());
     }
     match sending.await {
-        Ok(outcome) => Ok(outcome?),
+        Ok(outcome) => outcome,
         Err(failed) => Err(ClientError::protocol(format!("sending failed: {failed}"))),
     }
 }

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 
 use client::{
-    ClientError, FileError, FrameSource, Pacing, Placement, SlamClient, StreamEvent, StreamPlan,
+    ClientError, FrameError, FrameSource, Pacing, Placement, SlamClient, StreamEvent, StreamPlan,
     StreamSummary, stream_frames,
 };
 use proto::v1::slam_service_server::{SlamService, SlamServiceServer};
@@ -30,7 +30,7 @@ impl FrameSource for Frames {
         1_000_000 * (frame_idx as i64 + 1)
     }
 
-    fn image(&self, frame_idx: usize) -> Result<v1::Image, FileError> {
+    fn image(&self, frame_idx: usize) -> Result<v1::Image, FrameError> {
         Ok(v1::Image { data: vec![frame_idx as u8].into(), ..Default::default() })
     }
 }

@@ -1,6 +1,8 @@
 //! The service's messages, its server trait and its client, generated from `monoslam/v1/slam.proto`.
 //!
 //! No logic lives here: `server` and `client` convert to and from the domain types by hand.
+//! After a change of the .proto file, `UPDATE_GENERATED=1 cargo test -p proto --test generated` generates anew; where what
+//! is generated does not compile, as after a conflict, empty both files first.
 //!
 //! ```
 //! use proto::v1::{OpenStream, StreamFramesRequest, StreamPolicy, stream_frames_request::Message};
@@ -17,9 +19,9 @@
 /// Version 1 of the interface, package `monoslam.v1`.
 pub mod v1 {
     #![allow(missing_docs, clippy::all, rustdoc::all)]
-    tonic::include_proto!("monoslam.v1");
+    include!("generated/monoslam.v1.rs");
 }
 
 /// The compiled .proto files with everything they import, a serialised `google.protobuf.FileDescriptorSet`:
 /// what the reflection service answers from.
-pub const FILE_DESCRIPTOR_SET: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/monoslam_descriptor.bin"));
+pub const FILE_DESCRIPTOR_SET: &[u8] = include_bytes!("generated/descriptor.bin");

@@ -5,6 +5,8 @@
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::ffi::OsString;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -127,6 +129,17 @@ impl Default for Config {
     }
 }
 
+/// Variables of the same prefix that are not the server's: where clients find it, and where recordings are.
+const NOT_OF_SERVERS: [&str; 2] = ["MONOSLAM_SERVER", "MONOSLAM_DATA"];
+
+/// The environment as far as it may configure a server.
+fn of_server(variables: impl Iterator<Item = (OsString, OsString)>) -> HashMap<String, String> {
+    variables
+        .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
+        .filter(|(name, _)| !NOT_OF_SERVERS.contains(&name.as_str()))
+        .collect()
+}
+
 /// The command line's share of the configuration; what is left out comes from the environment, the file or the default.
 #[derive(Clone, Debug, Default, Args)]
 pub struct ConfigArgs {
@@ -169,7 +182,8 @@ impl Config {
             sources = sources.add_source(config::File::from(file.as_path()).format(config::FileFormat::Toml));
         }
         let environment = config::Environment::with_prefix("MONOSLAM").prefix_separator("_").separator("__");
-        sources = sources.add_source(environment.try_parsing(true));
+        sources =
+            sources.add_source(environment.try_parsing(true).source(Some(of_server(std::env::vars_os()))));
         let read = sources.build().context("the configuration cannot be read")?;
         let mut merged: Self = read.try_deserialize().context("the configuration cannot be used")?;
         let ConfigArgs { data_dir, grpc_addr, http_addr, log, config: _ } = args;
@@ -252,6 +266,14 @@ mod tests {
         std::fs::write(&file, "data_dri = \"x\"\n").unwrap();
         let error = Config::load(ConfigArgs { config: Some(file), ..ConfigArgs::default() }).unwrap_err();
         assert!(format!("{error:#}").contains("data_dri"), "{error:#}");
+    }
+
+    #[test]
+    fn variables_of_clients_do_not_configure_a_server() {
+        let names = ["MONOSLAM_DATA", "MONOSLAM_SERVER", "MONOSLAM_LOG"];
+        let variables = names.map(|name| (OsString::from(name), OsString::from("json")));
+        let left: Vec<String> = of_server(variables.into_iter()).into_keys().collect();
+        assert_eq!(left, ["MONOSLAM_LOG"]);
     }
 
     #[test]

@@ -22,6 +22,8 @@ pub mod pipeline;
 mod places;
 pub mod report;
 mod submaps;
+#[cfg(test)]
+mod test_fixtures;
 mod tracking;
 mod trajectory;
 mod vanishing;

@@ -1,99 +1,52 @@
 //! The whole engine on rendered sequences with exact truth.
 
-use geometry::nalgebra::Vector3;
-use geometry::{Pose, Similarity};
-use slam::map::{FrameRecord, FrameState};
-use slam::{Frame, FrameError, FrameReport, InitialisationWait, Map, NoClock, Pipeline, ResumeState};
+use geometry::Pose;
+use slam::map::FrameState;
+use slam::{Frame, FrameError, FrameReport, InitialisationWait, Map, ResumeState};
 use slam::{SlamConfig, Threading, TrackingOutcome};
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use synthetic::{Preset, Sequence};
+use testkit::{FRAME_INTERVAL_NS, Session, evaluate, gray_image};
 use vision::GrayImage;
 
-/// A session under test, with the trajectory as a store would keep it.
-struct Session {
-    pipeline: Pipeline,
-    records: BTreeMap<u64, FrameRecord>,
+fn new_session(sequence: &Sequence, threading: Threading) -> Session {
+    resume_session(sequence, threading, ResumeState::default())
 }
 
-impl Session {
-    fn new(sequence: &Sequence, threading: Threading) -> Self {
-        Self::resume(sequence, threading, ResumeState::default())
-    }
+fn resume_session(sequence: &Sequence, threading: Threading, state: ResumeState) -> Session {
+    let config = SlamConfig { threading, seed: 7, ..SlamConfig::default() };
+    Session::resume(config, sequence.camera(), state)
+}
 
-    fn resume(sequence: &Sequence, threading: Threading, state: ResumeState) -> Self {
-        let config = SlamConfig { threading, seed: 7, ..SlamConfig::default() };
-        let pipeline = Pipeline::resume(config, sequence.camera().clone(), Arc::new(NoClock), state).unwrap();
-        Self { pipeline, records: BTreeMap::new() }
-    }
-
-    fn frame(&mut self, number: u64, image: GrayImage) -> FrameReport {
-        let frame = Frame { sequence: number, timestamp_ns: number as i64 * 33_333_333, image };
-        let report = self.pipeline.process_frame(frame).unwrap();
-        let updates = self.pipeline.take_updates();
-        self.store(updates);
-        report
-    }
-
-    fn finish(&mut self) -> Arc<Map> {
-        let updates = self.pipeline.finish();
-        self.store(updates);
-        self.pipeline.map()
-    }
-
-    fn store(&mut self, updates: Vec<slam::MapUpdate>) {
-        for update in updates {
-            update.map.check().unwrap();
-            self.records.extend(update.frames.iter().map(|record| (record.sequence, *record)));
-        }
-    }
-
-    /// Camera positions by frame number.
-    fn positions(&self, map: &Map) -> BTreeMap<u64, Vector3<f64>> {
-        let world_from_camera = |record: &FrameRecord| -> Option<Pose> {
-            let (_, camera_from_world) = map.locate(&record.pose?)?;
-            Some(camera_from_world.inverse())
-        };
-        self.records
-            .iter()
-            .filter_map(|(number, record)| Some((*number, world_from_camera(record)?.translation)))
-            .collect()
-    }
+/// Shows an image at the time of its number.
+fn show(session: &mut Session, number: u64, image: GrayImage) -> FrameReport {
+    session.show(number, number as i64 * FRAME_INTERVAL_NS, image)
 }
 
 fn image(sequence: &Sequence, index: usize) -> GrayImage {
-    let rendered = sequence.frame(index).image;
-    GrayImage::from_raw(rendered.width(), rendered.height(), rendered.into_pixels()).unwrap()
+    gray_image(sequence.frame(index).image)
 }
 
-/// Root mean square distance to the truth after similarity alignment, as a share of the truth's path.
-fn relative_error(
-    sequence: &Sequence,
-    positions: &BTreeMap<u64, Vector3<f64>>,
-    index_of: impl Fn(u64) -> usize,
-) -> f64 {
-    let truth: Vec<Vector3<f64>> =
-        positions.keys().map(|number| sequence.camera_from_world(index_of(*number)).centre()).collect();
-    let estimate: Vec<Vector3<f64>> = positions.values().copied().collect();
-    let aligned = Similarity::from_correspondences(&estimate, &truth, true).unwrap();
-    let squared: f64 =
-        estimate.iter().zip(&truth).map(|(e, t)| (aligned.transform(e) - t).norm_squared()).sum::<f64>();
-    let path: f64 = truth.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-    (squared / estimate.len() as f64).sqrt() / path
+/// Root mean square distance to the truth after similarity alignment, as a share of the truth's path; a frame's number
+/// is its index.
+fn relative_error(sequence: &Sequence, trajectory: &BTreeMap<u64, Pose>) -> f64 {
+    let truth = |number: u64| sequence.camera_from_world(number as usize).inverse();
+    let evaluation = evaluate(trajectory, truth).unwrap();
+    evaluation.ate_rmse / evaluation.path
 }
 
 #[test]
 fn a_rich_room_is_tracked_within_one_per_cent_of_the_path() {
     let sequence = Sequence::preset(Preset::RoomRich, 1);
     let n = sequence.len().min(150);
-    let mut session = Session::new(&sequence, Threading::Background);
+    let mut session = new_session(&sequence, Threading::Background);
     for index in 0..n {
-        session.frame(index as u64, image(&sequence, index));
+        show(&mut session, index as u64, image(&sequence, index));
     }
     let map = session.finish();
-    let positions = session.positions(&map);
-    assert!(positions.len() >= n * 97 / 100, "only {} of {n} frames have a pose", positions.len());
-    let error = relative_error(&sequence, &positions, |number| number as usize);
+    let trajectory = session.trajectory();
+    assert!(trajectory.len() >= n * 97 / 100, "only {} of {n} frames have a pose", trajectory.len());
+    let error = relative_error(&sequence, &trajectory);
     assert!(error < 0.01, "error of {:.3} % of the path", 100.0 * error);
     assert!(
         map.n_keyframes() >= 5 && map.n_points() >= 300,
@@ -108,9 +61,9 @@ fn a_rich_room_is_tracked_within_one_per_cent_of_the_path() {
 fn the_same_frames_and_seed_give_the_same_trajectory() {
     let sequence = Sequence::preset(Preset::RoomRich, 2);
     let run = || {
-        let mut session = Session::new(&sequence, Threading::Inline);
+        let mut session = new_session(&sequence, Threading::Inline);
         let reports: Vec<FrameReport> =
-            (0..60).map(|index| session.frame(index as u64, image(&sequence, index))).collect();
+            (0..60).map(|index| show(&mut session, index as u64, image(&sequence, index))).collect();
         let map = session.finish();
         let points: Vec<[u64; 3]> =
             map.points().map(|point| [0, 1, 2].map(|axis| point.position[axis].to_bits())).collect();
@@ -125,41 +78,41 @@ fn the_same_frames_and_seed_give_the_same_trajectory() {
 #[test]
 fn a_resumed_session_finds_its_place_and_goes_on_in_the_same_frame_of_reference() {
     let sequence = Sequence::preset(Preset::RoomRich, 3);
-    let mut session = Session::new(&sequence, Threading::Background);
+    let mut session = new_session(&sequence, Threading::Background);
     for index in 0..90 {
-        session.frame(index as u64, image(&sequence, index));
+        show(&mut session, index as u64, image(&sequence, index));
     }
     let map = session.finish();
-    let state = ResumeState { map: map.to_parts(), last_frame: Some((89, 89 * 33_333_333)) };
-    let mut resumed = Session::resume(&sequence, Threading::Background, state);
+    let state = ResumeState { map: map.to_parts(), last_frame: Some((89, 89 * FRAME_INTERVAL_NS)) };
+    let mut resumed = resume_session(&sequence, Threading::Background, state);
     resumed.records = std::mem::take(&mut session.records);
     let reports: Vec<FrameReport> =
-        (90..130).map(|index| resumed.frame(index as u64, image(&sequence, index))).collect();
+        (90..130).map(|index| show(&mut resumed, index as u64, image(&sequence, index))).collect();
     let first_found =
         reports.iter().position(|report| report.relocalised).expect("the session finds its place");
     assert!(first_found < 10, "found only after {first_found} frames");
-    let map = resumed.finish();
-    let positions = resumed.positions(&map);
-    assert!(positions.keys().filter(|number| **number >= 90).count() >= 30);
-    let error = relative_error(&sequence, &positions, |number| number as usize);
+    resumed.finish();
+    let trajectory = resumed.trajectory();
+    assert!(trajectory.keys().filter(|number| **number >= 90).count() >= 30);
+    let error = relative_error(&sequence, &trajectory);
     assert!(error < 0.02, "error of {:.3} % of the path over both parts", 100.0 * error);
 }
 
 #[test]
 fn a_covered_lens_loses_the_camera_and_a_known_view_finds_it_again() {
     let sequence = Sequence::preset(Preset::RoomRich, 4);
-    let mut session = Session::new(&sequence, Threading::Background);
+    let mut session = new_session(&sequence, Threading::Background);
     for index in 0..80 {
-        session.frame(index as u64, image(&sequence, index));
+        show(&mut session, index as u64, image(&sequence, index));
     }
     let camera = sequence.camera();
     for number in 80..90 {
-        let report = session.frame(number, GrayImage::new(camera.width(), camera.height()));
+        let report = show(&mut session, number, GrayImage::new(camera.width(), camera.height()));
         assert_eq!(report.outcome.state(), FrameState::Lost);
         assert!(report.world_from_camera.is_none() && !report.outcome.reason().is_empty());
     }
-    let found =
-        (90..100).find(|number| session.frame(*number, image(&sequence, 60)).world_from_camera.is_some());
+    let found = (90..100)
+        .find(|number| show(&mut session, *number, image(&sequence, 60)).world_from_camera.is_some());
     assert!(found.is_some(), "a view of the map is recognised");
 }
 
@@ -183,9 +136,9 @@ fn images_without_content_never_make_a_map() {
         ("noise", Box::new(|number| noise(number + 1))),
     ];
     for (kind, make) in kinds {
-        let mut session = Session::new(&sequence, Threading::Inline);
+        let mut session = new_session(&sequence, Threading::Inline);
         for number in 0..8 {
-            let report = session.frame(number, make(number));
+            let report = show(&mut session, number, make(number));
             assert!(
                 matches!(report.outcome, TrackingOutcome::Initialising(_)),
                 "{kind}: {:?}",
@@ -200,9 +153,9 @@ fn images_without_content_never_make_a_map() {
 #[test]
 fn a_camera_at_rest_waits_and_says_why() {
     let sequence = Sequence::preset(Preset::RoomRich, 1);
-    let mut session = Session::new(&sequence, Threading::Inline);
+    let mut session = new_session(&sequence, Threading::Inline);
     let outcomes: Vec<TrackingOutcome> =
-        (0..5).map(|number| session.frame(number, image(&sequence, 0)).outcome).collect();
+        (0..5).map(|number| show(&mut session, number, image(&sequence, 0)).outcome).collect();
     let waits = |outcome: &TrackingOutcome| {
         matches!(outcome, TrackingOutcome::Initialising(InitialisationWait::TooLittleParallax { .. }))
     };
@@ -212,8 +165,8 @@ fn a_camera_at_rest_waits_and_says_why() {
 #[test]
 fn frames_that_cannot_be_used_change_nothing() {
     let sequence = Sequence::preset(Preset::RoomRich, 1);
-    let mut session = Session::new(&sequence, Threading::Inline);
-    session.frame(5, image(&sequence, 0));
+    let mut session = new_session(&sequence, Threading::Inline);
+    show(&mut session, 5, image(&sequence, 0));
     let mut refuse = |sequence_number: u64, timestamp_ns: i64, image: GrayImage| {
         session.pipeline.process_frame(Frame { sequence: sequence_number, timestamp_ns, image }).unwrap_err()
     };
@@ -222,21 +175,21 @@ fn frames_that_cannot_be_used_change_nothing() {
         refuse(6, 1_000_000_000, GrayImage::new(320, 240)),
         FrameError::WrongImageSize { width: 320, .. }
     ));
-    assert!(matches!(refuse(6, 5 * 33_333_333, good()), FrameError::TimestampNotIncreasing { .. }));
+    assert!(matches!(refuse(6, 5 * FRAME_INTERVAL_NS, good()), FrameError::TimestampNotIncreasing { .. }));
     assert!(matches!(
         refuse(5, 1_000_000_000, good()),
         FrameError::SequenceNotIncreasing { last_sequence: 5, .. }
     ));
-    session.frame(6, good());
+    show(&mut session, 6, good());
 }
 
 #[test]
 fn an_inconsistent_stored_map_is_refused() {
     let sequence = Sequence::preset(Preset::RoomRich, 1);
-    let mut session = Session::new(&sequence, Threading::Inline);
+    let mut session = new_session(&sequence, Threading::Inline);
     let mut number = 0;
     while session.pipeline.map().n_keyframes() == 0 && number < 60 {
-        session.frame(number, image(&sequence, number as usize));
+        show(&mut session, number, image(&sequence, number as usize));
         number += 1;
     }
     let map = session.finish();

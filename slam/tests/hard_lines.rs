@@ -1,14 +1,12 @@
 //! Images that are hard on lines, through the whole engine: bounded time, no panic, nothing non-finite in the map.
 
-mod common;
-
-use common::{line_error, pipeline, run};
 use geometry::nalgebra::Vector2;
 use slam::features::LineFeature;
 use slam::map::FrameState;
-use slam::{FeatureSwitches, Frame, Keyframe, Map, Pipeline, ResumeState};
+use slam::{Keyframe, Map};
 use std::time::{Duration, Instant};
 use synthetic::{PathKind, Preset, Sequence, SequenceConfig};
+use testkit::{FRAME_INTERVAL_NS, Session, gray_image, inline, line_error};
 use vision::GrayImage;
 
 /// Bound on one frame, mapping included, in an unoptimised build on a busy machine; the usual is a tenth of it.
@@ -26,23 +24,21 @@ fn assert_finite(map: &Map) {
 }
 
 /// Feeds images from number `first` on and returns the state of the last; every map on the way is looked at.
-fn feed(pipeline: &mut Pipeline, first: u64, images: impl Iterator<Item = GrayImage>) -> Option<FrameState> {
+fn feed(session: &mut Session, first: u64, images: impl Iterator<Item = GrayImage>) -> Option<FrameState> {
     let mut state = None;
     for (sequence, image) in (first..).zip(images) {
         let begun = Instant::now();
-        let timestamp_ns = sequence as i64 * 33_333_333;
-        let report = pipeline.process_frame(Frame { sequence, timestamp_ns, image }).unwrap();
+        let report = session.show(sequence, sequence as i64 * FRAME_INTERVAL_NS, image);
         assert!(begun.elapsed() < MAX_FRAME_TIME, "frame {sequence} took {:?}", begun.elapsed());
         assert!(report.world_from_camera.is_none_or(|pose| pose.is_finite()), "frame {sequence}");
-        pipeline.take_updates().iter().for_each(|update| assert_finite(&update.map));
+        assert_finite(&session.pipeline.map());
         state = Some(report.outcome.state());
     }
     state
 }
 
 fn rendered(sequence: &Sequence, index: usize) -> GrayImage {
-    let image = sequence.frame(index).image;
-    GrayImage::from_raw(image.width(), image.height(), image.into_pixels()).unwrap()
+    gray_image(sequence.frame(index).image)
 }
 
 /// The grey level of a pixel of an image moved by `shift` pixels.
@@ -71,10 +67,9 @@ fn patterns_alone_leave_nothing_unsound() {
     let sequence = Sequence::preset(Preset::RoomPoor, 1);
     for (name, pixel) in PATTERNS {
         println!("{name}");
-        let mut pipeline = pipeline(&sequence, FeatureSwitches::default(), ResumeState::default());
-        feed(&mut pipeline, 0, (0..12).map(|index| pattern(pixel, 3 * index)));
-        pipeline.finish();
-        assert_finite(&pipeline.map());
+        let mut session = Session::new(inline(3), sequence.camera());
+        feed(&mut session, 0, (0..12).map(|index| pattern(pixel, 3 * index)));
+        assert_finite(&session.finish());
     }
 }
 
@@ -82,19 +77,18 @@ fn patterns_alone_leave_nothing_unsound() {
 fn a_session_finds_its_lines_again_after_every_pattern() {
     const N_BEFORE: usize = 50;
     let sequence = Sequence::preset(Preset::RoomPoor, 1);
-    let mut pipeline = pipeline(&sequence, FeatureSwitches::default(), ResumeState::default());
-    feed(&mut pipeline, 0, (0..N_BEFORE).map(|index| rendered(&sequence, 2 * index)));
-    assert!(pipeline.map().n_lines() > 10, "only {} lines", pipeline.map().n_lines());
+    let mut session = Session::new(inline(3), sequence.camera());
+    feed(&mut session, 0, (0..N_BEFORE).map(|index| rendered(&sequence, 2 * index)));
+    assert!(session.pipeline.map().n_lines() > 10, "only {} lines", session.pipeline.map().n_lines());
     let mut next = N_BEFORE as u64;
     for (name, pixel) in PATTERNS {
-        feed(&mut pipeline, next, (0..3).map(|index| pattern(pixel, 5 * index)));
+        feed(&mut session, next, (0..3).map(|index| pattern(pixel, 5 * index)));
         let seen_before = (0..4).map(|index| rendered(&sequence, 2 * (N_BEFORE - 10) + index));
-        let state = feed(&mut pipeline, next + 3, seen_before);
+        let state = feed(&mut session, next + 3, seen_before);
         assert!(matches!(state, Some(FrameState::Tracked | FrameState::Weak)), "after {name}: {state:?}");
         next += 7;
     }
-    pipeline.finish();
-    assert_finite(&pipeline.map());
+    assert_finite(&session.finish());
 }
 
 #[test]
@@ -110,9 +104,9 @@ fn edges_along_the_motion_are_not_given_depths_they_do_not_have() {
         yaw_deg: 90.0,
     };
     let sequence = Sequence::new(config).unwrap();
-    let mut pipeline = pipeline(&sequence, FeatureSwitches::default(), ResumeState::default());
-    run(&mut pipeline, &sequence, (0..40).map(|index| 2 * index));
-    let map = pipeline.map();
+    let mut session = Session::new(inline(3), sequence.camera());
+    session.show_frames(&sequence, (0..40).map(|index| 2 * index));
+    let map = session.finish();
     assert_finite(&map);
     // Positions on a straight line leave a similarity open: the first key frame's attitude fixes it.
     let keyframes: Vec<_> = map.keyframes().collect();

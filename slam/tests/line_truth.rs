@@ -3,17 +3,12 @@
 //! The figures in `docs/LINES.md` are printed by
 //! `cargo test -p slam --test line_truth -- --ignored --nocapture`.
 
-#[path = "common/alignment.rs"]
-mod alignment;
-mod common;
-
-use alignment::{largest_submap, truth_from_map};
-use common::{LineError, line_error, pipeline, run};
-use slam::{FeatureSwitches, LineVerdict, ResumeState};
+use slam::LineVerdict;
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use synthetic::{Preset, Sequence};
+use testkit::{LineError, Session, inline, largest_submap, line_error, truth_from_map};
 
 /// A line of the map is right within this angle, degrees, and this distance, world units (metres).
 const RIGHT: (f64, f64) = (1.0, 0.02);
@@ -34,9 +29,9 @@ struct Tally {
 
 impl Tally {
     fn of(sequence: &Sequence, frames: impl Iterator<Item = usize>) -> Self {
-        let mut pipeline = pipeline(sequence, FeatureSwitches::default(), ResumeState::default());
-        run(&mut pipeline, sequence, frames);
-        let map = pipeline.map();
+        let mut session = Session::new(inline(3), sequence.camera());
+        session.show_frames(sequence, frames);
+        let map = session.finish();
         let mut tally = Self::default();
         let Some((submap, truth_from_map)) = largest_submap(&map).zip(truth_from_map(&map, sequence)) else {
             return tally;
@@ -46,7 +41,7 @@ impl Tally {
             let ends = line.endpoints.map(|end| truth_from_map.transform(&end));
             tally.errors.extend(line_error(&ends, sequence.world()));
         }
-        let judgements = pipeline.take_line_judgements();
+        let judgements = session.pipeline.take_line_judgements();
         for judgement in judgements.iter().filter(|judgement| judgement.submap == submap) {
             // From the true camera, so that only the candidate's own error counts, not the map's drift.
             let world_from_camera = sequence.camera_from_world(judgement.sequence as usize).inverse();

@@ -1,14 +1,14 @@
 //! Global primitives against the true directions of rendered worlds: rooms of three directions, a hall of more that are
 //! not at right angles, and a cave of none.
 
+use geometry::Direction;
 use geometry::nalgebra::Vector3;
-use geometry::{Direction, Similarity};
+use slam::Map;
 use slam::map::{Keyframe, VanishingObservation};
-use slam::{Frame, Map, NoClock, Pipeline, ResumeState, SlamConfig, Threading};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use synthetic::{Preset, Sequence, VisibleSegment};
-use vision::GrayImage;
+use testkit::{Session, gray_image, inline, truth_from_map};
 
 /// Frames that are rendered of each sequence: rendering takes most of the time.
 const N_FRAMES: usize = 80;
@@ -25,19 +25,11 @@ const MIN_CONTRAST: f64 = 12.0;
 /// Tracks every `step`th frame.
 fn track(preset: Preset, seed: u64, step: usize, n_frames: usize) -> (Sequence, Arc<Map>) {
     let sequence = Sequence::preset(preset, seed);
-    let config = SlamConfig { threading: Threading::Inline, seed, ..SlamConfig::default() };
-    let mut pipeline =
-        Pipeline::resume(config, sequence.camera().clone(), Arc::new(NoClock), ResumeState::default())
-            .unwrap();
+    let mut session = Session::new(inline(seed), sequence.camera());
     for index in (0..sequence.len()).step_by(step).take(n_frames) {
-        let rendered = sequence.frame(index).image;
-        let image = GrayImage::from_raw(rendered.width(), rendered.height(), rendered.into_pixels()).unwrap();
-        let timestamp_ns = sequence.timestamp_ns(index);
-        pipeline.process_frame(Frame { sequence: index as u64, timestamp_ns, image }).unwrap();
+        session.show(index as u64, sequence.timestamp_ns(index), gray_image(sequence.frame(index).image));
     }
-    pipeline.finish();
-    let map = pipeline.map();
-    map.check().unwrap();
+    let map = session.finish();
     assert!(map.n_keyframes() >= 5, "{} {seed}: only {} key frames", preset.name(), map.n_keyframes());
     (sequence, map)
 }
@@ -87,10 +79,7 @@ fn compare(sequence: &Sequence, map: &Map) -> Comparison {
         }
     }
 
-    let positions = |of: &dyn Fn(&Keyframe) -> Vector3<f64>| map.keyframes().map(of).collect::<Vec<_>>();
-    let estimate = positions(&|keyframe| keyframe.camera_from_world.centre());
-    let truth = positions(&|keyframe| sequence.camera_from_world(keyframe.sequence as usize).centre());
-    let truth_from_map = Similarity::from_correspondences(&estimate, &truth, true).unwrap();
+    let truth_from_map = truth_from_map(map, sequence).unwrap();
     for primitive in map.primitives() {
         match nearest(truths, &(truth_from_map.rotation * primitive.direction.as_vector())) {
             (error_deg, idx) if error_deg < MAX_PRIMITIVE_ERROR_DEG => comparison.n_primitives[idx] += 1,

@@ -1,24 +1,31 @@
 //! Lines and global primitives of rendered rooms against the true segments and directions.
 
-#[path = "common/alignment.rs"]
-mod alignment;
-mod common;
-
-use alignment::truth_from_map;
-use common::{LineError, line_error, pipeline, run};
 use geometry::Direction;
-use slam::{FeatureSwitches, ResumeState};
+use slam::{FeatureSwitches, FrameReport, ResumeState, SlamConfig};
 use std::collections::BTreeMap;
+use std::ops::Range;
 use synthetic::{Preset, Sequence};
+use testkit::{FRAME_INTERVAL_NS, LineError, Session, inline, line_error, truth_from_map};
 
 const N_FRAMES: usize = 150;
+
+fn session(sequence: &Sequence, features: FeatureSwitches, state: ResumeState) -> Session {
+    Session::resume(SlamConfig { features, ..inline(3) }, sequence.camera(), state)
+}
+
+/// Shows frames and ends the recording.
+fn run(session: &mut Session, sequence: &Sequence, frames: Range<usize>) -> Vec<FrameReport> {
+    let reports = session.show_frames(sequence, frames);
+    session.finish();
+    reports
+}
 
 #[test]
 fn lines_of_a_poor_room_lie_on_its_edges() {
     let sequence = Sequence::preset(Preset::RoomPoor, 1);
-    let mut pipeline = pipeline(&sequence, FeatureSwitches::default(), ResumeState::default());
-    let reports = run(&mut pipeline, &sequence, 0..N_FRAMES);
-    let map = pipeline.map();
+    let mut session = session(&sequence, FeatureSwitches::default(), ResumeState::default());
+    let reports = run(&mut session, &sequence, 0..N_FRAMES);
+    let map = session.pipeline.map();
     assert!(map.n_lines() >= 20, "only {} lines", map.n_lines());
     assert!(reports.iter().filter(|report| report.n_inlier_lines >= 5).count() > N_FRAMES / 2);
 
@@ -48,9 +55,9 @@ fn lines_of_a_poor_room_lie_on_its_edges() {
 #[test]
 fn the_directions_of_a_room_become_one_primitive_each() {
     let sequence = Sequence::preset(Preset::RoomPoor, 2);
-    let mut pipeline = pipeline(&sequence, FeatureSwitches::default(), ResumeState::default());
-    run(&mut pipeline, &sequence, 0..N_FRAMES);
-    let map = pipeline.map();
+    let mut session = session(&sequence, FeatureSwitches::default(), ResumeState::default());
+    run(&mut session, &sequence, 0..N_FRAMES);
+    let map = session.pipeline.map();
     let truth_from_map = truth_from_map(&map, &sequence).unwrap();
     let truths = sequence.world().vanishing_directions();
     let mut n_spurious = 0;
@@ -80,13 +87,16 @@ fn the_directions_of_a_room_become_one_primitive_each() {
 #[test]
 fn a_restored_session_goes_on_with_its_lines_and_primitives() {
     let sequence = Sequence::preset(Preset::RoomPoor, 1);
-    let mut first = pipeline(&sequence, FeatureSwitches::default(), ResumeState::default());
+    let mut first = session(&sequence, FeatureSwitches::default(), ResumeState::default());
     run(&mut first, &sequence, 0..100);
-    let map = first.map();
+    let map = first.pipeline.map();
     assert!(map.n_lines() > 0);
-    let state = ResumeState { map: map.to_parts(), last_frame: Some((99, 99 * 33_333_333)) };
-    let mut second = pipeline(&sequence, FeatureSwitches::default(), state);
-    assert_eq!((second.map().n_lines(), second.map().n_primitives()), (map.n_lines(), map.n_primitives()));
+    let state = ResumeState { map: map.to_parts(), last_frame: Some((99, 99 * FRAME_INTERVAL_NS)) };
+    let mut second = session(&sequence, FeatureSwitches::default(), state);
+    assert_eq!(
+        (second.pipeline.map().n_lines(), second.pipeline.map().n_primitives()),
+        (map.n_lines(), map.n_primitives())
+    );
     let reports = run(&mut second, &sequence, 100..120);
     assert!(reports.iter().any(|report| report.n_inlier_lines >= 5), "no frame sees the stored lines");
 }
@@ -95,15 +105,16 @@ fn a_restored_session_goes_on_with_its_lines_and_primitives() {
 fn switched_off_features_leave_no_trace() {
     let sequence = Sequence::preset(Preset::RoomPoor, 1);
     let switches = FeatureSwitches { lines: false, global_primitives: false, ..FeatureSwitches::default() };
-    let mut points_only = pipeline(&sequence, switches, ResumeState::default());
+    let mut points_only = session(&sequence, switches, ResumeState::default());
     let reports = run(&mut points_only, &sequence, 0..60);
-    assert_eq!((points_only.map().n_lines(), points_only.map().n_primitives()), (0, 0));
+    assert_eq!((points_only.pipeline.map().n_lines(), points_only.pipeline.map().n_primitives()), (0, 0));
     assert!(reports.iter().all(|report| report.n_segments == 0));
     let switches = FeatureSwitches { lines: true, global_primitives: false, ..FeatureSwitches::default() };
-    let mut with_lines = pipeline(&sequence, switches, ResumeState::default());
+    let mut with_lines = session(&sequence, switches, ResumeState::default());
     run(&mut with_lines, &sequence, 0..60);
-    assert!(with_lines.map().n_lines() > 0);
-    assert_eq!(with_lines.map().n_primitives(), 0);
-    let vanishing = with_lines.map().keyframes().map(|keyframe| keyframe.vanishing.len()).sum::<usize>();
+    assert!(with_lines.pipeline.map().n_lines() > 0);
+    assert_eq!(with_lines.pipeline.map().n_primitives(), 0);
+    let vanishing =
+        with_lines.pipeline.map().keyframes().map(|keyframe| keyframe.vanishing.len()).sum::<usize>();
     assert_eq!(vanishing, 0, "without primitives nobody looks for vanishing points");
 }

@@ -1,16 +1,13 @@
 //! How long a typical key frame takes to store: one new key frame of 1000 keypoints, 300 new points, 2000 points and
 //! 20 key frames moved by bundle adjustment, 5 frames of trajectory. `cargo bench -p store`.
 
-#[allow(dead_code)]
-#[path = "../tests/it/world.rs"]
-mod world;
-
 use futures_util::TryStreamExt;
 use slam::map::{MapChanges, MapParts, SubmapId};
 use slam::{Keyframe, MapUpdate, SlamConfig};
 use std::time::{Duration, Instant};
 use store::{Durability, PointQuery, Store, StoreOptions, TrajectoryFilter, TrajectoryKind};
-use world::*;
+use testkit::stored::*;
+use testkit::world::*;
 
 const START: Size = Size { n_keyframes: 60, n_keypoints: 1000, n_points: 5000 };
 const N_UPDATES: u64 = 40;

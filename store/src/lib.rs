@@ -53,6 +53,7 @@ mod graph;
 mod keyframes;
 mod lines;
 mod load;
+mod migrations;
 mod number;
 mod observations;
 mod open;

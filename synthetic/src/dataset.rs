@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 use std::fs;
-use std::io;
+use std::io::{self, BufWriter};
 use std::path::Path;
 
 use geometry::CameraParameters;
@@ -16,9 +16,13 @@ impl GrayImage {
     /// # Errors
     /// If the file cannot be written.
     pub fn save_png(&self, path: impl AsRef<Path>) -> io::Result<()> {
-        let (width, height) = (self.width(), self.height());
-        image::save_buffer(path, self.pixels(), width, height, image::ExtendedColorType::L8)
-            .map_err(io::Error::other)
+        let file = BufWriter::new(fs::File::create(path)?);
+        let mut encoder = png::Encoder::new(file, self.width(), self.height());
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::Eight);
+        let mut writer = encoder.write_header().map_err(io::Error::other)?;
+        writer.write_image_data(self.pixels()).map_err(io::Error::other)?;
+        writer.finish().map_err(io::Error::other)
     }
 }
 

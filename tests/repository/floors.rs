@@ -101,7 +101,8 @@ fn top_modules(source: &Path) -> BTreeMap<String, Vec<PathBuf>> {
         let top = relative.components().next().expect("a name").as_os_str().to_string_lossy();
         let module = top.trim_end_matches(".rs").to_owned();
         let stem = file.file_stem().expect("a name").to_string_lossy().into_owned();
-        let is_test = stem == "tests" || stem.ends_with("_tests") || relative.iter().any(|part| part == "tests");
+        let is_test =
+            stem == "tests" || stem.ends_with("_tests") || relative.iter().any(|part| part == "tests");
         if !is_test && !["lib", "main"].contains(&module.as_str()) {
             modules.entry(module).or_default().push(file);
         }

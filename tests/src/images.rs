@@ -1,23 +1,24 @@
 //! Images to send.
 
-use image::codecs::jpeg::JpegEncoder;
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
 use proto::v1;
 use synthetic::{Preset, Sequence, SequenceConfig, SyntheticFrame};
 
 /// A grey image as PNG.
 pub fn png(width: u32, height: u32, pixels: &[u8]) -> v1::Image {
     let mut data = Vec::new();
-    PngEncoder::new(&mut data).write_image(pixels, width, height, ExtendedColorType::L8).expect("a PNG");
+    let mut encoder = png::Encoder::new(&mut data, width, height);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.write_header().and_then(|mut writer| writer.write_image_data(pixels)).expect("a PNG");
     v1::Image { data: data.into(), ..v1::Image::default() }
 }
 
 /// A grey image as JPEG.
 pub fn jpeg(width: u32, height: u32, pixels: &[u8]) -> v1::Image {
     let mut data = Vec::new();
-    JpegEncoder::new_with_quality(&mut data, 90)
-        .encode(pixels, width, height, ExtendedColorType::L8)
+    let size = [width, height].map(|side| u16::try_from(side).expect("JPEG has up to 65535 pixels a side"));
+    jpeg_encoder::Encoder::new(&mut data, 90)
+        .encode(pixels, size[0], size[1], jpeg_encoder::ColorType::Luma)
         .expect("a JPEG");
     v1::Image { data: data.into(), ..v1::Image::default() }
 }

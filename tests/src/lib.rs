@@ -8,7 +8,11 @@ mod stream;
 pub use images::{SmallWorld, jpeg, oversized_png, png, raw_gray};
 pub use stream::{FrameStream, camera, create_session, frame, open_message};
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
+use bytes::Bytes;
+use http_body_util::{BodyExt, Empty};
+use hyper_util::client::legacy::Client as HttpClient;
+use hyper_util::rt::TokioExecutor;
 use proto::v1::slam_service_client::SlamServiceClient;
 use server::{Config, Running, Server, Shutdown};
 use std::net::SocketAddr;
@@ -106,6 +110,10 @@ pub async fn connect(grpc_addr: SocketAddr) -> anyhow::Result<Client> {
 /// # Errors
 /// If it cannot be fetched, or its status is not a success.
 pub async fn get(http_addr: SocketAddr, path: &str) -> anyhow::Result<String> {
-    let response = reqwest::get(format!("http://{http_addr}{path}")).await?.error_for_status()?;
-    response.text().await.context("the page ends early")
+    let client = HttpClient::builder(TokioExecutor::new()).build_http::<Empty<Bytes>>();
+    let response = client.get(format!("http://{http_addr}{path}").parse()?).await?;
+    let status = response.status();
+    ensure!(status.is_success(), "{path}: {status}");
+    let body = response.into_body().collect().await.context("the page ends early")?;
+    Ok(String::from_utf8(body.to_bytes().into())?)
 }

@@ -1,7 +1,6 @@
 //! Time of line segment detection on one thread.
 
 use std::hint::black_box;
-use std::path::Path;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use vision::GrayImage;
@@ -10,10 +9,9 @@ use vision::lines::{DetectorKind, LineDetectorConfig, detector};
 
 /// Recorded images, if the recordings are there: a usual one and two that take long.
 fn recorded() -> Vec<(&'static str, GrayImage)> {
-    let folder =
-        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/7scenes_redkitchen/images"));
+    let Ok(folder) = recordings::find_folder("7scenes_redkitchen") else { return Vec::new() };
     let read = |number: u32| {
-        let bytes = std::fs::read(folder.join(format!("frame-{number:06}.color.jpg"))).ok()?;
+        let bytes = std::fs::read(folder.join(format!("images/frame-{number:06}.color.jpg"))).ok()?;
         decode_gray(&EncodedImage::Auto(&bytes), &DecodeLimits::default()).ok()
     };
     let names = [("recorded", 100), ("recorded, cluttered", 200), ("recorded, blurred", 800)];
@@ -56,7 +54,7 @@ fn detection(c: &mut Criterion) {
     ];
     images.extend(recorded());
     if images.len() == 3 {
-        println!("no recorded images: that part is skipped");
+        println!("no recorded images (MONOSLAM_DATA): that part is skipped");
     }
     for kind in [DetectorKind::EdgeDrawing, DetectorKind::Lsd] {
         let mut detector = detector(LineDetectorConfig { kind, ..Default::default() })

@@ -1,7 +1,6 @@
 //! Time of the point front end on one thread: extraction, matching and place recognition.
 
 use std::hint::black_box;
-use std::path::Path;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use vision::decode::{DecodeLimits, EncodedImage, decode_gray};
@@ -11,9 +10,8 @@ use vision::{Features, GrayImage, OrbConfig, OrbExtractor, Pyramid};
 
 /// A recorded image, if the recordings are there.
 fn recorded() -> Option<GrayImage> {
-    let folder =
-        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/7scenes_redkitchen/images"));
-    let bytes = std::fs::read(folder.join("frame-000100.color.jpg")).ok()?;
+    let folder = recordings::find_folder("7scenes_redkitchen").ok()?;
+    let bytes = std::fs::read(folder.join("images/frame-000100.color.jpg")).ok()?;
     decode_gray(&EncodedImage::Auto(&bytes), &DecodeLimits::default()).ok()
 }
 
@@ -56,7 +54,7 @@ fn extraction(c: &mut Criterion) {
                 b.iter(|| black_box(extractor.extract(black_box(&image))));
             });
         }
-        None => println!("no recorded image: that part is skipped"),
+        None => println!("no recorded image (MONOSLAM_DATA): that part is skipped"),
     }
 }
 

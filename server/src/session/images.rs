@@ -4,8 +4,7 @@
 //! mapping may run behind tracking. So images of candidates are held, by reference, within bounds.
 
 use super::frame::{Encoding, SentImage};
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
+use png::{BitDepth, ColorType, Compression, Encoder, Filter};
 use slam::MapUpdate;
 use slam::map::{FrameState, KeyframeId};
 use std::collections::VecDeque;
@@ -65,16 +64,21 @@ pub fn to_file(keyframe: KeyframeId, image: &SentImage) -> Option<KeyframeImage>
             return file(if is_jpeg { "image/jpeg" } else { "image/png" }, image.data.to_vec());
         }
     };
-    let (pixels, color) = packed_pixels(image, format)?;
-    let mut bytes = Vec::new();
-    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
-        .write_image(&pixels, image.width, image.height, color)
-        .ok()?;
-    file("image/png", bytes)
+    let (pixels, color, depth) = packed_pixels(image, format)?;
+    let mut data = Vec::new();
+    let mut encoder = Encoder::new(&mut data, image.width, image.height);
+    encoder.set_color(color);
+    encoder.set_depth(depth);
+    encoder.set_compression(Compression::Fast);
+    encoder.set_filter(Filter::Adaptive);
+    let mut writer = encoder.write_header().ok()?;
+    writer.write_image_data(&pixels).ok()?;
+    writer.finish().ok()?;
+    file("image/png", data)
 }
 
-/// The rows without padding, in an order of channels PNG knows; 16-bit samples in the machine's byte order.
-fn packed_pixels(image: &SentImage, format: PixelFormat) -> Option<(Vec<u8>, ExtendedColorType)> {
+/// The rows without padding, in an order of channels PNG knows; 16-bit samples big-endian.
+fn packed_pixels(image: &SentImage, format: PixelFormat) -> Option<(Vec<u8>, ColorType, BitDepth)> {
     let row_bytes = image.width as usize * format.bytes_per_pixel();
     let stride = if image.row_stride == 0 { row_bytes } else { image.row_stride as usize };
     let mut pixels = Vec::with_capacity(row_bytes * image.height as usize);
@@ -82,27 +86,24 @@ fn packed_pixels(image: &SentImage, format: PixelFormat) -> Option<(Vec<u8>, Ext
         let start = y.checked_mul(stride)?;
         pixels.extend_from_slice(image.data.get(start..start.checked_add(row_bytes)?)?);
     }
-    let colour = match format {
-        PixelFormat::Gray8 => ExtendedColorType::L8,
+    let (color, depth) = match format {
+        PixelFormat::Gray8 => (ColorType::Grayscale, BitDepth::Eight),
         PixelFormat::Gray16 => {
-            for sample in pixels.chunks_exact_mut(2) {
-                let value = u16::from_le_bytes([sample[0], sample[1]]);
-                sample.copy_from_slice(&value.to_ne_bytes());
-            }
-            ExtendedColorType::L16
+            pixels.chunks_exact_mut(2).for_each(|sample| sample.swap(0, 1));
+            (ColorType::Grayscale, BitDepth::Sixteen)
         }
-        PixelFormat::Rgb8 => ExtendedColorType::Rgb8,
-        PixelFormat::Rgba8 => ExtendedColorType::Rgba8,
+        PixelFormat::Rgb8 => (ColorType::Rgb, BitDepth::Eight),
+        PixelFormat::Rgba8 => (ColorType::Rgba, BitDepth::Eight),
         PixelFormat::Bgr8 => {
             pixels.chunks_exact_mut(3).for_each(|pixel| pixel.swap(0, 2));
-            ExtendedColorType::Rgb8
+            (ColorType::Rgb, BitDepth::Eight)
         }
         PixelFormat::Bgra8 => {
             pixels.chunks_exact_mut(4).for_each(|pixel| pixel.swap(0, 2));
-            ExtendedColorType::Rgba8
+            (ColorType::Rgba, BitDepth::Eight)
         }
     };
-    Some((pixels, colour))
+    Some((pixels, color, depth))
 }
 
 #[cfg(test)]

@@ -1,6 +1,5 @@
 //! The HTTP interface over a database that has a map, without a socket.
 
-use crate::world::{SMALL, TRACKED, first_update, new_session, structured};
 use axum::Router;
 use axum::body::Body;
 use axum::http::{Method, Request, Response, StatusCode};
@@ -12,6 +11,8 @@ use std::path::Path;
 use std::sync::Arc;
 use store::KeyframeImage;
 use tempfile::TempDir;
+use testkit::stored::{TRACKED, new_session};
+use testkit::world::{SMALL, first_update, structured};
 use tower::ServiceExt;
 
 /// The interface over a database that has a map, `s`.

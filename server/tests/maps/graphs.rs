@@ -1,11 +1,11 @@
 //! The essential graph that is served is the one the engine closes loops on.
 
 use crate::api::Api;
-use crate::world::{Size, kf, map, parts, pt};
 use serde_json::Value;
 use slam::map::{KeyframeId, MapParts, Observation};
 use slam::{KeyframeTies, LoopConfig, essential_edges};
 use std::collections::BTreeSet;
+use testkit::world::{Size, kf, map, parts, pt};
 
 const LONG: Size = Size { n_keyframes: 30, n_keypoints: 500, n_points: 2400 };
 /// Points that key frames 2 and 26 share since a loop was closed there, and 3 and 27: enough for a tie, and too few.

@@ -2,12 +2,12 @@
 
 use crate::api::store_map;
 use crate::rounded::rounded;
-use crate::world::{SMALL, Size, structured};
 use proto::v1;
 use proto::v1::export_map_response::Part;
 use serde_json::{Value, json};
 use slam::map::{MapParts, SubmapId};
 use std::time::{Duration, Instant};
+use testkit::world::{SMALL, Size, structured};
 use tests::{Client, TestServer};
 use tonic::{Code, Request, Status, Streaming};
 use tonic_types::StatusExt;

@@ -6,6 +6,3 @@ mod grpc;
 mod rest;
 mod rounded;
 mod routes;
-#[allow(dead_code)]
-#[path = "../../../store/tests/it/world.rs"]
-mod world;

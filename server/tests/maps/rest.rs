@@ -1,9 +1,9 @@
 //! What the HTTP interface says of maps made by hand, to the last number.
 
 use crate::api::Api;
-use crate::world::{ln, pr};
 use serde_json::{Value, json};
 use slam::map::PrimitiveId;
+use testkit::world::{ln, pr};
 
 #[tokio::test]
 async fn lines_are_told_with_their_ends_and_pluecker_coordinates() {

@@ -2,12 +2,12 @@
 
 use crate::api::Api;
 use crate::rounded::rounded;
-use crate::world::{Size, kf, structured};
 use axum::body::Body;
 use axum::http::{Method, Response};
 use http_body_util::BodyExt;
 use serde_json::{Value, json};
 use store::KeyframeImage;
+use testkit::world::{Size, kf, structured};
 use tokio_stream::StreamExt;
 
 const TINY: Size = Size { n_keyframes: 4, n_keypoints: 12, n_points: 5 };

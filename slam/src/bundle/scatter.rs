@@ -39,10 +39,11 @@ fn misses(map: &Map, primitive: &GlobalPrimitive, seen: &PrimitiveObservation) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::{FrameFeatures, LineFeature, PyramidGeometry};
+    use crate::features::{FrameFeatures, LineFeature};
     use crate::map::{Keyframe, KeyframeId, SubmapId, VanishingObservation};
+    use crate::test_fixtures::{camera, pyramid};
     use geometry::nalgebra::{Matrix3, Vector2, Vector3};
-    use geometry::{Camera, CameraModel, CameraParameters, Direction, Pose};
+    use geometry::{Direction, Pose};
     use std::sync::Arc;
     use vision::Descriptor;
 
@@ -51,19 +52,7 @@ mod tests {
 
     /// Segments across the image whose ends are `off_sigmas` beside where lines along x would have them.
     fn features(off_sigmas: f64) -> FrameFeatures {
-        let camera = Camera::new(CameraParameters {
-            model: CameraModel::Pinhole,
-            width: 640,
-            height: 480,
-            fx: 500.0,
-            fy: 500.0,
-            cx: 320.0,
-            cy: 240.0,
-            distortion: Vec::new(),
-        });
-        let pyramid = PyramidGeometry { n_levels: 8, scale_factor: 1.2 };
-        let mut features =
-            FrameFeatures::from_parts(Vec::new(), Vec::new(), &camera.unwrap(), pyramid).unwrap();
+        let mut features = FrameFeatures::from_parts(Vec::new(), Vec::new(), &camera(), pyramid()).unwrap();
         let off = Vector2::new(0.0, off_sigmas * SIGMA_PX);
         let segment = |idx: u32| {
             let [start, end] = [100.0, 300.0].map(|x| Vector2::new(x, 20.0 * f64::from(idx)));

@@ -4,10 +4,11 @@
 use super::*;
 use crate::bundle::global;
 use crate::config::MappingConfig;
-use crate::features::{FrameFeatures, PyramidGeometry};
+use crate::features::FrameFeatures;
 use crate::map::{FramePose, Keyframe, Observation};
+use crate::test_fixtures::{camera, pyramid};
+use geometry::Pose;
 use geometry::nalgebra::{SVector, UnitQuaternion, Vector2, Vector3};
-use geometry::{Camera, CameraModel, CameraParameters, Pose};
 use rand::Rng;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -32,20 +33,6 @@ struct Walk {
     submaps: Vec<SubmapId>,
     /// From this camera on what is seen is in the map a second time.
     second_lap: usize,
-}
-
-fn camera() -> Camera {
-    Camera::new(CameraParameters {
-        model: CameraModel::Pinhole,
-        width: 640,
-        height: 480,
-        fx: 500.0,
-        fy: 500.0,
-        cx: 320.0,
-        cy: 240.0,
-        distortion: Vec::new(),
-    })
-    .unwrap()
 }
 
 fn keyframe_id(index: usize) -> KeyframeId {
@@ -137,8 +124,7 @@ impl Walk {
                 keypoints.push(Keypoint { x, y, octave: OCTAVE, angle: 0.0, response: 1.0 });
                 descriptors.push(seen);
             }
-            let pyramid = PyramidGeometry { n_levels: 8, scale_factor: 1.2 };
-            let features = FrameFeatures::from_parts(keypoints, descriptors, &camera, pyramid).unwrap();
+            let features = FrameFeatures::from_parts(keypoints, descriptors, &camera, pyramid()).unwrap();
             let mapped = Similarity::from_pose(camera_from_true) * self.drift[index].inverse();
             let is_first = index == 0 || self.submaps[index] != self.submaps[index - 1];
             map.add_keyframe(Keyframe::from_parts(

@@ -1,31 +1,21 @@
 //! Maps made by hand: whatever is done to them, both sides of every observation agree.
 
 use super::*;
-use crate::features::{FrameFeatures, PyramidGeometry};
+use crate::features::FrameFeatures;
+use crate::test_fixtures::{camera, pyramid};
 use geometry::nalgebra::{Matrix3, Vector3, Vector6};
-use geometry::{Camera, CameraModel, CameraParameters, Direction, Pose};
+use geometry::{Direction, Pose};
 use vision::{Descriptor, Keypoint};
 
 const N_KEYPOINTS: usize = 8;
 
 fn features() -> Arc<FrameFeatures> {
-    let camera = Camera::new(CameraParameters {
-        model: CameraModel::Pinhole,
-        width: 640,
-        height: 480,
-        fx: 500.0,
-        fy: 500.0,
-        cx: 320.0,
-        cy: 240.0,
-        distortion: Vec::new(),
-    });
     let keypoint =
         |idx: usize| Keypoint { x: 50.0 * idx as f32, y: 100.0, octave: 1, angle: 0.0, response: 30.0 };
     let descriptor = |idx: usize| Descriptor([idx as u64, !(idx as u64), 7, 0]);
-    let pyramid = PyramidGeometry { n_levels: 8, scale_factor: 1.2 };
     let keypoints = (0..N_KEYPOINTS).map(keypoint).collect();
     let descriptors = (0..N_KEYPOINTS).map(descriptor).collect();
-    Arc::new(FrameFeatures::from_parts(keypoints, descriptors, &camera.unwrap(), pyramid).unwrap())
+    Arc::new(FrameFeatures::from_parts(keypoints, descriptors, &camera(), pyramid()).unwrap())
 }
 
 fn keyframe_id(number: u64) -> KeyframeId {

@@ -10,4 +10,9 @@ mod save_load;
 mod schema;
 mod sessions;
 mod trajectory;
-mod world;
+
+/// Maps made by hand, and databases of them.
+mod world {
+    pub use testkit::stored::*;
+    pub use testkit::world::*;
+}

@@ -1,15 +1,17 @@
-//! PNG files, by the `image` crate.
+//! PNG files, by the `png` crate.
 
 use std::io::{Cursor, ErrorKind};
 
-use image::codecs::png::PngDecoder;
-use image::{ColorType, ImageDecoder, ImageError};
+use png::{BitDepth, ColorType, Decoder, DecodingError, Limits, Transformations};
 
 use super::convert::{convert, luma, narrow};
 use super::{DecodeError, DecodeLimits};
 use crate::GrayImage;
 
 const FORMAT: &str = "PNG";
+
+/// Room for chunks besides the pixels, whose size is checked on its own: a palette takes 768 bytes.
+const MAX_CHUNK_BYTES: usize = 64 << 20;
 
 pub(super) fn has_signature(data: &[u8]) -> bool {
     data.starts_with(b"\x89PNG\r\n\x1a\n")
@@ -20,31 +22,38 @@ pub(super) fn decode(data: &[u8], limits: &DecodeLimits) -> Result<GrayImage, De
         return Err(DecodeError::WrongFormat { format: FORMAT });
     }
     check_header(data, limits)?;
-    let decoder = PngDecoder::new(Cursor::new(data)).map_err(describe)?;
-    let (width, height) = decoder.dimensions();
+    let mut decoder = Decoder::new_with_limits(Cursor::new(data), Limits { bytes: MAX_CHUNK_BYTES });
+    decoder.set_ignore_text_chunk(true);
+    decoder.set_ignore_iccp_chunk(true);
+    // Palettes and samples of fewer than eight bits become bytes, transparent colours an alpha channel.
+    decoder.set_transformations(Transformations::EXPAND);
+    let mut reader = decoder.read_info().map_err(describe)?;
+    let (width, height) = reader.info().size();
     limits.check_size(width, height)?;
-    let color = decoder.color_type();
-    let mut pixels = vec![0; decoder.total_bytes() as usize];
-    decoder.read_image(&mut pixels).map_err(describe)?;
+    let too_large = || DecodeError::TooLarge { width, height, max_pixels: limits.max_pixels };
+    let mut pixels = vec![0; reader.output_buffer_size().ok_or_else(too_large)?];
+    let frame = reader.next_frame(&mut pixels).map_err(describe)?;
     let mut out = GrayImage::new(width, height);
     let gray = out.as_raw_mut();
-    // 16-bit samples come in the machine's own byte order.
-    let wide = |a: u8, b: u8| narrow(u16::from_ne_bytes([a, b]));
-    match color {
-        ColorType::L8 => gray.copy_from_slice(&pixels),
-        ColorType::La8 => convert::<2>(&pixels, gray, |&[v, _]| v),
-        ColorType::Rgb8 => convert::<3>(&pixels, gray, |&[r, g, b]| luma(r, g, b)),
-        ColorType::Rgba8 => convert::<4>(&pixels, gray, |&[r, g, b, _]| luma(r, g, b)),
-        ColorType::L16 => convert::<2>(&pixels, gray, |&[a, b]| wide(a, b)),
-        ColorType::La16 => convert::<4>(&pixels, gray, |&[a, b, ..]| wide(a, b)),
-        ColorType::Rgb16 => {
+    // 16-bit samples are big-endian.
+    let wide = |a: u8, b: u8| narrow(u16::from_be_bytes([a, b]));
+    match (frame.color_type, frame.bit_depth) {
+        (ColorType::Grayscale, BitDepth::Eight) => gray.copy_from_slice(&pixels),
+        (ColorType::GrayscaleAlpha, BitDepth::Eight) => convert::<2>(&pixels, gray, |&[v, _]| v),
+        (ColorType::Rgb, BitDepth::Eight) => convert::<3>(&pixels, gray, |&[r, g, b]| luma(r, g, b)),
+        (ColorType::Rgba, BitDepth::Eight) => convert::<4>(&pixels, gray, |&[r, g, b, _]| luma(r, g, b)),
+        (ColorType::Grayscale, BitDepth::Sixteen) => convert::<2>(&pixels, gray, |&[a, b]| wide(a, b)),
+        (ColorType::GrayscaleAlpha, BitDepth::Sixteen) => {
+            convert::<4>(&pixels, gray, |&[a, b, ..]| wide(a, b));
+        }
+        (ColorType::Rgb, BitDepth::Sixteen) => {
             convert::<6>(&pixels, gray, |p| luma(wide(p[0], p[1]), wide(p[2], p[3]), wide(p[4], p[5])));
         }
-        ColorType::Rgba16 => {
+        (ColorType::Rgba, BitDepth::Sixteen) => {
             convert::<8>(&pixels, gray, |p| luma(wide(p[0], p[1]), wide(p[2], p[3]), wide(p[4], p[5])));
         }
-        other => {
-            let reason = format!("colour type {other:?} is not supported");
+        (color, depth) => {
+            let reason = format!("colour type {color:?} of depth {depth:?} is not supported");
             return Err(DecodeError::Malformed { format: FORMAT, reason });
         }
     }
@@ -64,9 +73,9 @@ fn check_header(data: &[u8], limits: &DecodeLimits) -> Result<(), DecodeError> {
     limits.check_size(number(8), number(12))
 }
 
-fn describe(error: ImageError) -> DecodeError {
+fn describe(error: DecodingError) -> DecodeError {
     match error {
-        ImageError::IoError(e) if e.kind() == ErrorKind::UnexpectedEof => {
+        DecodingError::IoError(e) if e.kind() == ErrorKind::UnexpectedEof => {
             DecodeError::Truncated { format: FORMAT }
         }
         other => DecodeError::Malformed { format: FORMAT, reason: other.to_string() },

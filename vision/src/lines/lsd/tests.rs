@@ -5,29 +5,36 @@ use std::path::Path;
 use nalgebra::Vector2;
 
 use super::*;
+use crate::decode::{DecodeLimits, EncodedImage, decode_gray};
 
 /// Segments shorter than this are left out of the comparison, pixels.
 const MIN_LENGTH_PX: f32 = 20.0;
 
-fn read_pgm(path: &Path) -> Option<GrayImage> {
-    let bytes = std::fs::read(path).ok()?;
+fn read_image(path: &Path) -> GrayImage {
+    let bytes = std::fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    decode_gray(&EncodedImage::Auto(&bytes), &DecodeLimits::default()).unwrap()
+}
+
+/// A binary grey PGM file of 8 bits without comments.
+fn read_pgm(path: &Path) -> GrayImage {
+    let bytes = std::fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let mut fields = Vec::new();
     let mut rest = bytes.as_slice();
     while fields.len() < 4 {
-        let end = rest.iter().position(u8::is_ascii_whitespace)?;
-        fields.push(std::str::from_utf8(&rest[..end]).ok()?.to_owned());
+        let end = rest.iter().position(u8::is_ascii_whitespace).expect("a head of four fields");
+        fields.push(std::str::from_utf8(&rest[..end]).unwrap().to_owned());
         rest = &rest[end + 1..];
     }
-    GrayImage::from_raw(fields[1].parse().ok()?, fields[2].parse().ok()?, rest.to_vec()).ok()
+    GrayImage::from_raw(fields[1].parse().unwrap(), fields[2].parse().unwrap(), rest.to_vec()).unwrap()
 }
 
-fn read_segments(path: &Path) -> Option<Vec<Ends>> {
-    let text = std::fs::read_to_string(path).ok()?;
+fn read_segments(path: &Path) -> Vec<Ends> {
+    let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let parse = |line: &str| {
         let v: Vec<f32> = line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
         Ends { start: Vector2::new(v[0], v[1]), end: Vector2::new(v[2], v[3]) }
     };
-    Some(text.lines().map(parse).collect())
+    text.lines().map(parse).collect()
 }
 
 /// Whether `other` is the same segment: its midpoint within 2 px across, 2 degrees of direction, and half of the shorter
@@ -49,35 +56,35 @@ fn share_found(segments: &[Ends], others: &[Ends]) -> f64 {
     n_found as f64 / long().count() as f64
 }
 
+/// Holds our segments of an image against those of the reference, each way.
+fn assert_agreement(name: &str, image: &GrayImage, expected: &[Ends]) {
+    let mut found = Vec::new();
+    Lsd::new(0.8).detect(image, &Gradients::default(), &mut found);
+    let (recall, precision) = (share_found(expected, &found), share_found(&found, expected));
+    println!(
+        "{name}: {} segments, {} in the reference; {recall:.3} of those found, {precision:.3} of ours there",
+        found.len(),
+        expected.len()
+    );
+    assert!(recall >= 0.9 && precision >= 0.9, "{name}: {recall:.3}, {precision:.3}");
+}
+
 #[test]
 fn segments_agree_with_the_reference() {
-    let folder =
-        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/components/lsd_1.6_reference"));
-    let names = [
-        "euroc_v1_01_b_000",
-        "icl_of_kt0_0001",
-        "icl_of_kt3_0001",
-        "kitti_snippet_1_000",
-        "redkitchen_285",
-        "tartanair_100",
-        "tum_fr3_sntf_000",
-    ];
-    let mut detector = Lsd::new(0.8);
-    for name in names {
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/lsd"));
+    for name in ["icl_of_kt0_0001", "icl_of_kt3_0001", "tartanair_100", "tum_fr3_sntf_000"] {
+        let image = read_image(&folder.join(format!("{name}.png")));
+        assert_agreement(name, &image, &read_segments(&folder.join(format!("{name}.lsd.txt"))));
+    }
+}
+
+/// Images whose terms do not let them be in the tree.
+#[test]
+#[ignore = "needs recordings: set MONOSLAM_DATA"]
+fn segments_of_recordings_agree_with_the_reference() {
+    let folder = recordings::find_folder("components/lsd_1.6_reference").unwrap_or_else(|e| panic!("{e}"));
+    for name in ["euroc_v1_01_b_000", "kitti_snippet_1_000", "redkitchen_285"] {
         let image = read_pgm(&folder.join(format!("{name}.pgm")));
-        let expected = read_segments(&folder.join(format!("{name}.lsd.txt")));
-        let (Some(image), Some(expected)) = (image, expected) else {
-            println!("no reference outputs for {name}: not compared");
-            continue;
-        };
-        let mut found = Vec::new();
-        detector.detect(&image, &Gradients::default(), &mut found);
-        let (recall, precision) = (share_found(&expected, &found), share_found(&found, &expected));
-        println!(
-            "{name}: {} segments, {} in the reference; {recall:.3} of those found, {precision:.3} of ours there",
-            found.len(),
-            expected.len()
-        );
-        assert!(recall >= 0.9 && precision >= 0.9, "{name}: {recall:.3}, {precision:.3}");
+        assert_agreement(name, &image, &read_segments(&folder.join(format!("{name}.lsd.txt"))));
     }
 }

@@ -1,0 +1,124 @@
+//! One run in a process of its own: peak memory and the state of caches and threads are then that run's alone.
+
+use std::path::PathBuf;
+use std::process::Stdio;
+use std::sync::Arc;
+
+use anyhow::{Context, Result, ensure};
+use clap::Args;
+use client::StreamSummary;
+use proto::v1;
+use recordings::{Evaluation, Layout, Recording, find_folder};
+use serde::{Deserialize, Serialize};
+
+use super::playback::PlaybackArgs;
+use super::{Configuration, Pace, machine};
+use crate::commands::local::{LocalRun, LocalServer};
+
+/// One run.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// Folder of the recording
+    pub dataset: PathBuf,
+    /// Its layout
+    #[arg(long)]
+    pub layout: Option<Layout>,
+    /// Which features are on
+    #[arg(long, value_enum)]
+    pub configuration: Configuration,
+    /// How fast frames come
+    #[arg(long, value_enum)]
+    pub pace: Pace,
+    /// Run every stage in turn on one thread
+    #[arg(long)]
+    pub deterministic: bool,
+    /// Seed of everything random
+    #[arg(long)]
+    pub seed: u64,
+    /// Which frames
+    #[command(flatten)]
+    pub playback: PlaybackArgs,
+}
+
+/// What came of one run.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct RunResult {
+    /// The recording's name.
+    pub sequence: String,
+    /// The share of the frames that have a pose in the trajectory.
+    pub coverage: f64,
+    /// How far the trajectory is from the truth; absent with too few poses.
+    pub evaluation: Option<Evaluation>,
+    /// What became of the frames.
+    pub summary: StreamSummary,
+    /// Peak of resident memory of server and client together, MiB; absent where the system does not tell.
+    pub peak_memory_mib: Option<f64>,
+}
+
+impl RunArgs {
+    /// Runs this in a new process and reads what it prints.
+    pub async fn in_child(&self) -> Result<RunResult> {
+        let program = std::env::current_exe().context("cannot find this program")?;
+        let mut command = tokio::process::Command::new(program);
+        command.arg("bench-run").arg(&self.dataset);
+        command.args(["--configuration", &self.configuration.name().to_lowercase()]);
+        command.args(["--pace", self.pace.name(), "--seed", &self.seed.to_string()]);
+        if let Some(layout) = self.layout {
+            command.args(["--layout", layout.name()]);
+        }
+        if self.deterministic {
+            command.arg("--deterministic");
+        }
+        command.args(self.playback.words());
+        let output =
+            command.stdin(Stdio::null()).stderr(Stdio::inherit()).kill_on_drop(true).output().await?;
+        ensure!(output.status.success(), "a run of {} failed: {}", self.dataset.display(), output.status);
+        let text = String::from_utf8_lossy(&output.stdout);
+        let last = text.lines().last().context("a run printed nothing")?;
+        serde_json::from_str(last).context("what a run printed cannot be read")
+    }
+
+    fn options(&self) -> v1::SessionOptions {
+        let (lines, global_primitives) = match self.configuration {
+            Configuration::Default => (None, None),
+            Configuration::P => (Some(false), Some(false)),
+            Configuration::Lp => (Some(true), Some(false)),
+            Configuration::Gp => (Some(true), Some(true)),
+        };
+        v1::SessionOptions {
+            deterministic: Some(self.deterministic),
+            seed: Some(self.seed),
+            points: (self.configuration != Configuration::Default).then_some(true),
+            lines,
+            global_primitives,
+            ..v1::SessionOptions::default()
+        }
+    }
+}
+
+/// The process of one run: prints its result as one line.
+pub async fn run_once(args: RunArgs) -> Result<()> {
+    let recording =
+        Recording::open(&find_folder(&args.dataset)?, args.layout)?.played(&args.playback.playback())?;
+    let sequence = recording.name.clone();
+    let truth = recording.ground_truth.clone();
+    let server = LocalServer::start().await?;
+    let run = LocalRun {
+        camera: recording.camera.parameters().clone(),
+        options: args.options(),
+        source: Arc::new(recording),
+        truth: truth.as_ref(),
+        is_realtime: args.pace == Pace::Realtime,
+    };
+    let outcome = server.run(run).await?;
+    server.stop().await?;
+    let result = RunResult {
+        sequence,
+        coverage: outcome.coverage,
+        evaluation: outcome.evaluation,
+        summary: outcome.summary,
+        peak_memory_mib: machine::peak_memory_mib(),
+    };
+    println!("{}", serde_json::to_string(&result)?);
+    Ok(())
+}

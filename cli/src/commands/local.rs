@@ -1,0 +1,98 @@
+//! A server inside this process, for commands that bring their own.
+
+use std::sync::Arc;
+
+use anyhow::{Context, Result, ensure};
+use client::{FrameSource, HttpClient, SlamClient, StreamPlan, StreamSummary};
+use geometry::CameraParameters;
+use proto::v1;
+use recordings::{Evaluation, EvaluationOptions, Trajectory, evaluate};
+use server::{Config, Running, Server};
+use tempfile::TempDir;
+
+use super::stream::stream_with_progress;
+
+/// The one session of a server inside.
+const SESSION: &str = "local";
+
+/// A server at free ports of this machine, its database in a temporary folder that goes when it does.
+pub struct LocalServer {
+    running: Running,
+    _folder: TempDir,
+}
+
+impl LocalServer {
+    /// Starts one.
+    pub async fn start() -> Result<Self> {
+        let folder = tempfile::Builder::new()
+            .prefix("monoslam-")
+            .tempdir()
+            .context("cannot make a temporary folder")?;
+        let running = Server::start(Config::local(folder.path())).await.context("cannot start a server")?;
+        Ok(Self { running, _folder: folder })
+    }
+
+    /// Where its gRPC interface is.
+    pub fn grpc(&self) -> String {
+        format!("http://{}", self.running.grpc_addr)
+    }
+
+    /// Where its HTTP interface is.
+    pub fn http(&self) -> String {
+        format!("http://{}", self.running.http_addr)
+    }
+
+    /// Stops it in order.
+    pub async fn stop(self) -> Result<()> {
+        let ending = self.running.shutdown().await;
+        ensure!(ending == server::Shutdown::Complete, "the server did not stop in time");
+        Ok(())
+    }
+}
+
+/// How frames go into a server inside.
+pub struct LocalRun<'a> {
+    /// The camera that took them.
+    pub camera: CameraParameters,
+    /// What the session runs with.
+    pub options: v1::SessionOptions,
+    /// The frames.
+    pub source: Arc<dyn FrameSource>,
+    /// Their truth, if it is known.
+    pub truth: Option<&'a Trajectory>,
+    /// Whether they come as recorded and the server drops those it has no time for, or as fast as it takes them.
+    pub is_realtime: bool,
+}
+
+/// What came of them.
+pub struct LocalOutcome {
+    /// What became of the frames.
+    pub summary: StreamSummary,
+    /// The share of the frames that have a pose in the trajectory.
+    pub coverage: f64,
+    /// How far the trajectory is from the truth; absent without a truth or with too few poses.
+    pub evaluation: Option<Evaluation>,
+}
+
+impl LocalServer {
+    /// Streams all frames by gRPC, fetches the trajectory by HTTP, and compares it with the truth.
+    pub async fn run(&self, run: LocalRun<'_>) -> Result<LocalOutcome> {
+        let mut client = SlamClient::connect(&self.grpc()).await?;
+        let LocalRun { camera, options, source, truth, is_realtime } = run;
+        let session = client.create_session(SESSION, &camera, options).await?;
+        let plan = if is_realtime { StreamPlan::realtime } else { StreamPlan::lossless };
+        let plan = plan(session.id, source.as_ref());
+        let summary = stream_with_progress(&mut client, &source, &plan).await?;
+        let estimate = HttpClient::new(self.http()).trajectory(&plan.session_id).await?;
+        let options = EvaluationOptions { n_frames: Some(source.len()), ..EvaluationOptions::default() };
+        let evaluation = match truth.map(|truth| evaluate(truth, &estimate, &options)) {
+            Some(Ok(evaluation)) => Some(evaluation),
+            Some(Err(error)) => {
+                eprintln!("the trajectory cannot be evaluated: {error}");
+                None
+            }
+            None => None,
+        };
+        Ok(LocalOutcome { summary, coverage: estimate.len() as f64 / source.len().max(1) as f64, evaluation })
+    }
+}

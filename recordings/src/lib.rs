@@ -1,0 +1,31 @@
+//! Recordings and trajectories on disk, and how far an estimated trajectory is from the true one.
+//!
+//! * [`Recording`]: a folder of images with their times, calibration and ground truth, in the [`Layout`]s in use;
+//!   [`find_folder`] also looks where `MONOSLAM_DATA` says that recordings are kept.
+//! * [`Trajectory`]: stamped camera poses, read from and written to the usual text files.
+//! * [`evaluate`]: absolute and relative errors after alignment, the figures of `evo_ape` and `evo_rpe`.
+//!
+//! ```
+//! use recordings::{EvaluationOptions, Trajectory, evaluate};
+//!
+//! let truth = Trajectory::parse_tum("0.0 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0 1\n0.2 1 1 0 0 0 0 1\n")?;
+//! let twice = Trajectory::parse_tum("0.0 5 0 0 0 0 0 1\n0.1 7 0 0 0 0 0 1\n0.2 7 2 0 0 0 0 1\n")?;
+//! let evaluation = evaluate(&truth, &twice, &EvaluationOptions::default())?;
+//! assert!(evaluation.ate_rmse < 1e-12);
+//! assert!((evaluation.scale - 0.5).abs() < 1e-12);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod data;
+mod dataset;
+mod evaluation;
+mod files;
+mod time;
+mod trajectory;
+
+pub use data::{DATA_VARIABLE, find_folder};
+pub use dataset::{FrameFile, Layout, Playback, Recording};
+pub use evaluation::{Alignment, Evaluation, EvaluationError, EvaluationOptions, Match, associate, evaluate};
+pub use files::{FileError, count_data_lines};
+pub use time::{format_seconds, parse_seconds_ns};
+pub use trajectory::{StampedPose, Trajectory};

@@ -1,0 +1,66 @@
+//! What the engine reports of the frames.
+
+use slam::map::FrameRecord;
+use slam::{FrameReport, Map, MapEvent};
+use std::collections::BTreeMap;
+use testkit::laboratory::summary;
+
+/// What came of the frames.
+#[derive(Default)]
+pub struct Run {
+    pub records: BTreeMap<u64, FrameRecord>,
+    states: BTreeMap<String, usize>,
+    n_relocalised: usize,
+    pub n_loops: usize,
+    pub n_merges: usize,
+    cpu_ms: Vec<f64>,
+    wall_ms: Vec<f64>,
+    /// Taking over the newest map, corrections among it.
+    adopt_ms: Vec<f64>,
+}
+
+impl Run {
+    pub fn note(&mut self, report: &FrameReport) {
+        *self.states.entry(format!("{:?}", report.outcome.state())).or_default() += 1;
+        self.n_relocalised += usize::from(report.relocalised);
+        for event in &report.map_events {
+            match event {
+                MapEvent::LoopClosed { .. } => self.n_loops += 1,
+                MapEvent::SubmapsMerged { .. } => self.n_merges += 1,
+                MapEvent::CalibrationRefined { .. } | MapEvent::CalibrationContradicted { .. } => {}
+            }
+        }
+        self.cpu_ms.push(report.cpu_ns as f64 * 1e-6);
+        self.wall_ms.push(report.wall_ns as f64 * 1e-6);
+        let adoption = report.stages.iter().filter(|stage| stage.name == "adopt");
+        self.adopt_ms.push(adoption.map(|stage| stage.wall_ns as f64 * 1e-6).sum());
+    }
+
+    pub fn store(&mut self, updates: Vec<slam::MapUpdate>) {
+        for update in updates {
+            self.records.extend(update.frames.iter().map(|record| (record.sequence, *record)));
+        }
+    }
+
+    pub fn print(mut self, map: &Map) {
+        println!(
+            "frames {:?} relocalised {} loops {} merges {}",
+            self.states, self.n_relocalised, self.n_loops, self.n_merges
+        );
+        println!(
+            "map: key frames {} (made {}) points {} lines {} primitives {} submaps {:?}",
+            map.n_keyframes(),
+            map.last_ids().keyframe,
+            map.n_points(),
+            map.n_lines(),
+            map.n_primitives(),
+            map.submaps().iter().map(|submap| submap.0).collect::<Vec<_>>(),
+        );
+        println!(
+            "tracking thread: cpu ms {} wall ms {} of it taking over the map {}",
+            summary(&mut self.cpu_ms),
+            summary(&mut self.wall_ms),
+            summary(&mut self.adopt_ms)
+        );
+    }
+}
