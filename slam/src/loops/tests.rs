@@ -5,6 +5,7 @@ use super::*;
 use crate::bundle::global;
 use crate::config::MappingConfig;
 use crate::features::FrameFeatures;
+use crate::landmarks::{Anchoring, apply_corrections};
 use crate::map::{FramePose, Keyframe, Observation};
 use crate::test_fixtures::{camera, pyramid};
 use geometry::Pose;
