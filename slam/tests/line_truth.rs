@@ -1,6 +1,6 @@
 //! Lines of many rendered rooms against their true edges, and what each verification step turned away.
 //!
-//! The figures in `docs/LINES.md` are printed by
+//! The figures in `docs/lines.md` are printed by
 //! `cargo test -p slam --test line_truth -- --ignored --nocapture`.
 
 use slam::LineVerdict;
@@ -143,7 +143,7 @@ fn lines_of_twenty_poor_rooms_are_true_and_verification_removes_false_ones() {
 }
 
 #[test]
-#[ignore = "takes minutes: prints the figures of docs/LINES.md"]
+#[ignore = "takes minutes: prints the figures of docs/lines.md"]
 fn figures_of_many_rooms_and_corridors() {
     study(Preset::RoomPoor, 1..=60, 75, 2).check_steps();
     study(Preset::RoomPoor, 1..=20, 75, 4).check_steps();
