@@ -54,7 +54,7 @@ mod tests {
             "monoslam trajectory a --server http://h:50051 --format tum --kind frames -o out.txt",
             "monoslam trajectory a --server http://h:50051 --format kitti --kind keyframes",
             "monoslam evaluate truth.txt estimate.txt --align se3 --max-dt 0.02 --json",
-            "monoslam bench one two --runs 3 --ablation --json -o docs/RESULTS.md",
+            "monoslam bench one two --runs 3 --ablation --json -o docs/results.md",
             "monoslam demo --keep",
             "monoslam sessions list --server http://h:50051",
             "monoslam sessions show a --server http://h:50051",
