@@ -1,6 +1,46 @@
-//! The SLAM system: images of one camera in, poses and a map out.
+//! The engine: monocular SLAM with points, lines and vanishing directions. Images of one camera in, poses and a
+//! map out.
 //!
-//! Start reading at [`Pipeline`]. It does no I/O and reads no clock; time and seeds come in as arguments.
+//! * [`Pipeline`]: one frame in, one [`FrameReport`] out. Start reading at [`Pipeline::process_frame`].
+//! * [`Map`]: keyframes, map points, map lines and global primitives; a value, of which readers get snapshots.
+//! * [`SlamConfig`]: every threshold, with its default, unit and reason.
+//!
+//! The stages: feature extraction, initialization, tracking, local mapping, bundle adjustment, self-calibration,
+//! loop closing, relocalization. What they compute is in `docs/method.md`, which comments cite by heading.
+//!
+//! The engine does no I/O, reads no clock and owns no random numbers: time and seeds come in as arguments. With
+//! [`Threading::Inline`] the same frames give the same bytes.
+//!
+//! # The engine without the server
+//!
+//! ```
+//! use slam::{Frame, NoClock, Pipeline, SlamConfig, Threading};
+//! use std::sync::Arc;
+//! use synthetic::{Preset, Sequence};
+//! use vision::GrayImage;
+//!
+//! // A rendered room stands for a camera: its calibration, and an image for every time.
+//! let room = Sequence::preset(Preset::RoomRich, 1);
+//! let config = SlamConfig { threading: Threading::Inline, ..SlamConfig::default() };
+//! let mut pipeline = Pipeline::new(config, room.camera().clone(), Arc::new(NoClock))?;
+//! let mut n_placed = 0;
+//! for index in (0..60).step_by(2) {
+//!     let rendered = room.frame(index).image;
+//!     let image = GrayImage::from_raw(rendered.width(), rendered.height(), rendered.into_pixels())?;
+//!     let frame = Frame { sequence: index as u64, timestamp_ns: room.timestamp_ns(index), image };
+//!     let report = pipeline.process_frame(frame)?;
+//!     match report.world_from_camera {
+//!         Some(pose) => println!("frame {index} at {}", pose.translation),
+//!         None => println!("frame {index}: {}", report.outcome.reason()),
+//!     }
+//!     n_placed += usize::from(report.world_from_camera.is_some());
+//! }
+//! // What is to be stored, in order: each update names the rows that changed.
+//! let updates = pipeline.finish();
+//! let map = pipeline.map();
+//! assert!(n_placed > 0 && !updates.is_empty() && map.n_keyframes() >= 2);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod backfill;
 pub mod bundle;
