@@ -30,7 +30,7 @@
 //!     let frame = Frame { sequence: index as u64, timestamp_ns: room.timestamp_ns(index), image };
 //!     let report = pipeline.process_frame(frame)?;
 //!     match report.world_from_camera {
-//!         Some(pose) => println!("frame {index} at {}", pose.translation),
+//!         Some(pose) => println!("frame {index} at {:.3?}", pose.translation.as_slice()),
 //!         None => println!("frame {index}: {}", report.outcome.reason()),
 //!     }
 //!     n_placed += usize::from(report.world_from_camera.is_some());
