@@ -1,7 +1,7 @@
 //! The floors of ARCHITECTURE.md: inside a crate, modules import only what stands below them.
 //!
-//! The list is read from the fenced block `floors` of ARCHITECTURE.md: one line per crate, floors from the ground up
-//! separated by `<`, the modules of one floor, which do not import each other, separated by commas.
+//! The list is read from the fenced block `floors` of ARCHITECTURE.md: one line per crate, floors from the
+//! ground up separated by `<`, the modules of one floor, which do not import each other, separated by commas.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

@@ -1,8 +1,9 @@
-//! What must hold of the repository itself: links between documents resolve.
+//! What must hold of the repository itself: citations of the method and links between documents resolve, and
+//! comments are as narrow as code, and modules import one way.
 
+mod citations;
+mod comments;
 mod files;
+mod floors;
 mod links;
 mod markdown;
-//! What must hold of the repository itself: modules import one way.
-
-mod floors;

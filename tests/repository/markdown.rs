@@ -23,8 +23,8 @@ pub fn headings(text: &str) -> Vec<String> {
     prose(text).iter().filter_map(heading).collect()
 }
 
-/// The anchors of the headings, as forges make them: lower case, hyphens for spaces, other punctuation dropped, and
-/// numbered where a heading is repeated.
+/// The anchors of the headings, as forges make them: lower case, hyphens for spaces, other punctuation
+/// dropped, and numbered where a heading is repeated.
 pub fn anchors(text: &str) -> Vec<String> {
     let mut seen: BTreeMap<String, usize> = BTreeMap::new();
     let mut anchor = |heading: String| {
