@@ -18,6 +18,8 @@ mod parts;
 mod point;
 mod primitive;
 #[cfg(test)]
+mod random_edits;
+#[cfg(test)]
 mod tests;
 
 pub use changes::{FramePose, FrameRecord, FrameState, MapChanges, MapUpdate};
