@@ -1,4 +1,4 @@
-//! Start here: one frame in, one report out. How a session is opened and ended stands in [`lifecycle`].
+//! Start here: one frame in, one report out. How a session is opened and ended stands in `lifecycle`.
 
 mod lifecycle;
 
