@@ -89,8 +89,8 @@ impl ClientError {
     }
 }
 
-/// Whether a status stands for the page of a web server that knows nothing of what was asked. There is no other sign of
-/// that than tonic's words.
+/// Whether a status stands for the page of a web server that knows nothing of what was asked. There is no
+/// other sign of that than tonic's words.
 fn is_from_web_server(status: &tonic::Status) -> bool {
     let message = status.message();
     let is_page =

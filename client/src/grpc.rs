@@ -66,8 +66,8 @@ impl SlamClient {
         self.server.to_string().trim_end_matches('/').to_owned()
     }
 
-    /// Makes a session for one camera; with an empty id the server chooses one. What the options leave out takes the
-    /// server's default.
+    /// Makes a session for one camera; with an empty id the server chooses one. What the options leave out
+    /// takes the server's default.
     ///
     /// # Errors
     /// `ALREADY_EXISTS` if the id is taken, `INVALID_ARGUMENT` if the camera is refused.
@@ -129,7 +129,8 @@ impl SlamClient {
         self.unpack(answer).map(|_| ())
     }
 
-    /// Changes a session's options; they hold from its next stream on. What an option leaves out stays as it is.
+    /// Changes a session's options; they hold from its next stream on. What an option leaves out stays as it
+    /// is.
     ///
     /// # Errors
     /// `NOT_FOUND`, `INVALID_ARGUMENT`, or `FAILED_PRECONDITION` while a writer is connected.
@@ -157,8 +158,8 @@ impl SlamClient {
         self.unpack(answer)
     }
 
-    /// Locates one image in the map of a session without changing it. A place that is not found is an answer: its
-    /// state is `LOST` and its reason a sentence.
+    /// Locates one image in the map of a session without changing it. A place that is not found is an answer:
+    /// its state is `LOST` and its reason a sentence.
     ///
     /// # Errors
     /// `NOT_FOUND`, or `INVALID_ARGUMENT` if the image cannot be used.

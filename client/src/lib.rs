@@ -1,8 +1,8 @@
 //! Typed client of the SLAM service: streams frames, asks for sessions, places and trajectories.
 //!
 //! * [`SlamClient`]: sessions, localization, events and open streams, by gRPC.
-//! * [`stream_frames`]: streams a [`FrameSource`], such as a [`Recording`], until every frame is answered and saved.
-//!   A connection that breaks is made again; each frame is mapped exactly once.
+//! * [`stream_frames`]: streams a [`FrameSource`], such as a [`Recording`], until every frame is answered and
+//!   saved. A connection that breaks is made again; each frame is mapped exactly once.
 //! * [`HttpClient`]: trajectories in every format.
 //!
 //! A recording, streamed into a session of its own; `SERVER` is where the service is, such as `http://127.0.0.1:50051`:

@@ -14,8 +14,8 @@ pub enum Pacing {
 }
 
 impl Pacing {
-    /// How long after the first frame another is due, `n_before` frames and `recorded_ns` nanoseconds after it
-    /// in the recording. Zero for a time that is no time.
+    /// How long after the first frame another is due, `n_before` frames and `recorded_ns` nanoseconds after
+    /// it in the recording. Zero for a time that is no time.
     pub fn due(self, n_before: usize, recorded_ns: i64) -> Duration {
         match self {
             Self::Unpaced => Duration::ZERO,

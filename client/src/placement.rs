@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use crate::source::FrameSource;
 
-/// Nanoseconds between the last frame of a session and the first of another recording that is put behind it, if
-/// their own times do not say; also given to each frame of the session whose time is not known. One second:
-/// tracking starts anew in any case, and cameras are faster.
+/// Nanoseconds between the last frame of a session and the first of another recording that is put behind it,
+/// if their own times do not say; also given to each frame of the session whose time is not known. One
+/// second: tracking starts anew in any case, and cameras are faster.
 const GAP_NS: i64 = 1_000_000_000;
 
 /// Maps frames of a source to sequence numbers and times of a session.

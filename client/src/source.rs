@@ -65,9 +65,9 @@ pub struct ReadyFrame {
     pub image: v1::Image,
 }
 
-/// Makes the frames of a range in turn on a thread of their own, a few ahead of the receiver; when the channel
-/// is full the thread waits, and when its receiver is dropped it ends. A frame that cannot be read ends the
-/// list with its error.
+/// Makes the frames of a range in turn on a thread of their own, a few ahead of the receiver; when the
+/// channel is full the thread waits, and when its receiver is dropped it ends. A frame that cannot be read
+/// ends the list with its error.
 pub fn read_ahead(
     source: Arc<dyn FrameSource>,
     range: Range<usize>,

@@ -15,8 +15,8 @@ use crate::placement::Placement;
 use crate::source::{FrameSource, read_ahead};
 use crate::summary::{FrameAnswer, StreamSummary};
 
-/// Attempts at a connection, without a frame being answered in between, before the stream is given up: with the
-/// waits below, about a minute, long enough for a server to start again and load a session.
+/// Attempts at a connection, without a frame being answered in between, before the stream is given up: with
+/// the waits below, about a minute, long enough for a server to start again and load a session.
 const MAX_ATTEMPTS: u32 = 16;
 
 /// Wait before the first attempt; each further one doubles it.
@@ -49,7 +49,8 @@ pub struct StreamPlan {
 }
 
 impl StreamPlan {
-    /// All frames of a source from the session's first on, every one of them, as fast as the server takes them.
+    /// All frames of a source from the session's first on, every one of them, as fast as the server takes
+    /// them.
     pub fn lossless(session_id: impl Into<String>, source: &dyn FrameSource) -> Self {
         Self {
             session_id: session_id.into(),
@@ -92,8 +93,8 @@ pub enum StreamEvent<'a> {
 
 /// Streams the frames of a plan and waits until the server has them in its database.
 ///
-/// When the connection breaks, it is made again; frames from the first that is not answered, or that the server
-/// does not have any more, are sent once more.
+/// When the connection breaks, it is made again; frames from the first that is not answered, or that the
+/// server does not have any more, are sent once more.
 ///
 /// # Errors
 /// If the server refuses the stream, stays away, or a frame cannot be read.
@@ -249,8 +250,8 @@ async fn send(
     Ok(())
 }
 
-/// The sender's error, if it had one. If the stream has ended, it is not waited for: it may be asleep until its
-/// next frame is due.
+/// The sender's error, if it had one. If the stream has ended, it is not waited for: it may be asleep until
+/// its next frame is due.
 async fn finish_sending(
     sending: JoinHandle<Result<(), ClientError>>,
     ended: bool,

@@ -13,7 +13,8 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// Of the finite ones among the values; `None` if there are none. Between two values a percentile is interpolated.
+    /// Of the finite ones among the values; `None` if there are none. Between two values a percentile is
+    /// interpolated.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let mut values: Vec<f64> = values.into_iter().filter(|x| x.is_finite()).collect();
         values.sort_unstable_by(f64::total_cmp);

@@ -12,12 +12,13 @@ const MAX_RELATIVE_DISTANCE_ERROR: f64 = 1e-9;
 /// Triangles whose sine of an angle is below this have no area to speak of: their pose is not determined.
 const MIN_TRIANGLE_SINE: f64 = 1e-7;
 
-/// The poses (`camera_from_world`, up to four) from which three world points are seen along three unit bearings.
+/// The poses (`camera_from_world`, up to four) from which three world points are seen along three unit
+/// bearings.
 ///
 /// The depths `d` of the points satisfy three quadratic equations, one per side of the triangle. Two
-/// combinations of them are homogeneous, that is, two conics in the ratios of the depths; their pencil contains
-/// a pair of lines, each of which meets the conics in at most two points [Persson & Nordberg 2018, section 3;
-/// Ding et al. 2023]. Depths are then polished by Newton's method on the three equations.
+/// combinations of them are homogeneous, that is, two conics in the ratios of the depths; their pencil
+/// contains a pair of lines, each of which meets the conics in at most two points [Persson & Nordberg 2018,
+/// section 3; Ding et al. 2023]. Depths are then polished by Newton's method on the three equations.
 ///
 /// Empty if the points lie on a line, two bearings coincide, or anything is not finite.
 pub fn p3p(bearings: &[Vector3<f64>; 3], points: &[Vector3<f64>; 3]) -> Vec<Pose> {
@@ -211,13 +212,14 @@ pub struct PoseObservation {
     pub bearing: Vector3<f64>,
     /// The point in the world.
     pub point: Vector3<f64>,
-    /// Standard deviation of the bearing across its direction, in radians: pixels of noise over the focal length.
+    /// Standard deviation of the bearing across its direction, in radians: pixels of noise over the focal
+    /// length.
     pub sigma_rad: f64,
 }
 
 impl PoseObservation {
-    /// Squared distance between seen and predicted unit bearings, in standard deviations: for small errors that
-    /// of the reprojection.
+    /// Squared distance between seen and predicted unit bearings, in standard deviations: for small errors
+    /// that of the reprojection.
     #[inline]
     pub fn squared_residual(&self, camera_from_world: &Pose) -> f64 {
         let predicted = camera_from_world.transform(&self.point).normalize();
@@ -227,8 +229,8 @@ impl PoseObservation {
 
 /// The pose that explains most observations, by [`p3p`] on random samples and [`refine_pose`] on the inliers.
 ///
-/// The threshold of `config` is in squared standard deviations of the observations. `None` with fewer than four
-/// observations, since three fit anything, or if no pose explains four.
+/// The threshold of `config` is in squared standard deviations of the observations. `None` with fewer than
+/// four observations, since three fit anything, or if no pose explains four.
 pub fn ransac_pose(
     observations: &[PoseObservation],
     config: &RansacConfig,
@@ -237,11 +239,11 @@ pub fn ransac_pose(
     search_pose(&PoseEstimator { observations, rotations: None }, config, rng)
 }
 
-/// As [`ransac_pose`], where the rotation is known to be one of a few: two observations then give the position, so that
-/// a good sample is found among fewer and worse observations.
+/// As [`ransac_pose`], where the rotation is known to be one of a few: two observations then give the
+/// position, so that a good sample is found among fewer and worse observations.
 ///
-/// The rotation is refined with the rest in the end. `None` with fewer than four observations, or if no pose explains
-/// four.
+/// The rotation is refined with the rest in the end. `None` with fewer than four observations, or if no pose
+/// explains four.
 pub fn ransac_pose_with_rotations(
     observations: &[PoseObservation],
     rotations: &[UnitQuaternion<f64>],
@@ -264,7 +266,8 @@ fn search_pose(
     ransac(estimator, config, rng).filter(|report| report.n_inliers >= MIN_OBSERVATIONS)
 }
 
-/// The position from which two points are nearest to the rays they are seen along, both in front of the camera.
+/// The position from which two points are nearest to the rays they are seen along, both in front of the
+/// camera.
 fn pose_with_rotation(rotation: &UnitQuaternion<f64>, sample: [&PoseObservation; 2]) -> Option<Pose> {
     // What is left of the point in the camera frame across the ray is to vanish: (I - b b^T) (R X + t) = 0.
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
@@ -348,8 +351,8 @@ pub fn refine_pose<'a>(
     Some(pose)
 }
 
-/// Adds one observation to the normal equations. Its residual is the difference of the bearings, along two axes
-/// across the observed one.
+/// Adds one observation to the normal equations. Its residual is the difference of the bearings, along two
+/// axes across the observed one.
 #[inline]
 fn accumulate(
     pose: &Pose,

@@ -6,8 +6,8 @@ use thiserror::Error;
 use crate::distortion::{Distortion, Fov, KannalaBrandt, Radtan};
 use crate::{Pinhole, PinholeCorrection};
 
-/// Rays further than this from the optical axis are not undistorted: at 80 degrees one pixel of a fisheye image
-/// already covers 33 of the ideal pinhole, and at 90 the pinhole has no image at all.
+/// Rays further than this from the optical axis are not undistorted: at 80 degrees one pixel of a fisheye
+/// image already covers 33 of the ideal pinhole, and at 90 the pinhole has no image at all.
 pub const MAX_UNDISTORTED_ANGLE_DEG: f64 = 80.0;
 
 /// Largest width and height accepted, in pixels.
@@ -137,7 +137,8 @@ impl Camera {
         self.parameters.height
     }
 
-    /// The ideal camera with the focal lengths and principal point of the calibration. Undistorted pixels are its pixels.
+    /// The ideal camera with the focal lengths and principal point of the calibration. Undistorted pixels are
+    /// its pixels.
     #[inline]
     pub fn nominal_pinhole(&self) -> Pinhole {
         self.nominal
@@ -149,15 +150,15 @@ impl Camera {
         self.correction.apply(&self.nominal)
     }
 
-    /// This camera with another correction of its calibration. Undistorted pixels stay as they are, only the rays they
-    /// belong to change.
+    /// This camera with another correction of its calibration. Undistorted pixels stay as they are, only the
+    /// rays they belong to change.
     #[must_use]
     pub fn with_correction(&self, correction: PinholeCorrection) -> Self {
         Self { correction, ..self.clone() }
     }
 
-    /// The calibration with the focal lengths and the principal point put right. Exact without lens distortion; with it the
-    /// same to first order, as the lens model is written in the nominal ones.
+    /// The calibration with the focal lengths and the principal point put right. Exact without lens
+    /// distortion; with it the same to first order, as the lens model is written in the nominal ones.
     pub fn corrected_parameters(&self) -> CameraParameters {
         let Pinhole { fx, fy, cx, cy } = self.pinhole();
         CameraParameters { fx, fy, cx, cy, ..self.parameters.clone() }

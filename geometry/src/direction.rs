@@ -25,8 +25,8 @@ impl Direction {
         Some(Self::from_nonzero(vector / largest))
     }
 
-    /// A direction that was one before, taken over bit for bit: for what was stored. `None` if the vector is not of unit
-    /// length or its sign is not the one the constructor gives.
+    /// A direction that was one before, taken over bit for bit: for what was stored. `None` if the vector is
+    /// not of unit length or its sign is not the one the constructor gives.
     pub fn from_stored(vector: Vector3<f64>) -> Option<Self> {
         let direction = Self::new(vector)?;
         let is_same = (direction.vector - vector).amax() <= MAX_STORED_ERROR;

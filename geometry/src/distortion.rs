@@ -7,15 +7,15 @@ use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 /// to six reach rounding.
 const MAX_NEWTON_ROUNDS: usize = 30;
 
-/// Newton's method stops after a step below this, in the distorted plane. It converges quadratically, so what is
-/// left then is the square of this, below rounding.
+/// Newton's method stops after a step below this, in the distorted plane. It converges quadratically, so what
+/// is left then is the square of this, below rounding.
 const NEWTON_TOLERANCE: f64 = 1e-8;
 
 /// Steps in which the range of a radial function is searched for the place where it stops rising.
 const MONOTONE_SCAN_STEPS: usize = 2000;
 
-/// A radial function counts as rising while its slope exceeds this. Below it one pixel of the image would cover
-/// a thousand of the undistorted one.
+/// A radial function counts as rising while its slope exceeds this. Below it one pixel of the image would
+/// cover a thousand of the undistorted one.
 const MIN_RADIAL_SLOPE: f64 = 1e-3;
 
 /// A lens model with its coefficients.
@@ -73,8 +73,8 @@ impl Distortion {
         Some((distorted, d_distorted_d_plane * d_plane_d_point))
     }
 
-    /// The unit vector seen at `distorted`, a point of the distorted plane. `None` outside the field where the
-    /// model is one-to-one.
+    /// The unit vector seen at `distorted`, a point of the distorted plane. `None` outside the field where
+    /// the model is one-to-one.
     #[inline]
     pub(crate) fn unproject(&self, distorted: &Vector2<f64>) -> Option<Vector3<f64>> {
         let plane = match self {
@@ -125,8 +125,8 @@ fn rising_until(end: f64, slope: impl Fn(f64) -> f64) -> f64 {
     good
 }
 
-/// Solves `value(x) = target` for a function that rises over `[0, end]`, with `value(0) = 0`. Newton's method,
-/// with a bisection step wherever Newton would leave the bracket.
+/// Solves `value(x) = target` for a function that rises over `[0, end]`, with `value(0) = 0`. Newton's
+/// method, with a bisection step wherever Newton would leave the bracket.
 #[inline]
 fn invert_rising(target: f64, end: f64, value_and_slope: impl Fn(f64) -> (f64, f64)) -> Option<f64> {
     if !(target >= 0.0 && target <= value_and_slope(end).0) {
@@ -171,8 +171,8 @@ pub(crate) struct Radtan {
 }
 
 impl Radtan {
-    /// `coefficients` in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6]]`; those left out are zero. `max_angle` is
-    /// the largest angle from the axis that will be asked for.
+    /// `coefficients` in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6]]`; those left out are zero. `max_angle`
+    /// is the largest angle from the axis that will be asked for.
     pub(crate) fn new(coefficients: &[f64], max_angle: f64) -> Self {
         let c = |i: usize| coefficients.get(i).copied().unwrap_or(0.0);
         let mut model = Self {
@@ -230,8 +230,8 @@ impl Radtan {
         )
     }
 
-    /// Newton's method from a first guess, which nearly always converges; else from the safe inverse of the radial
-    /// part. Within `limit` the model is one-to-one, so any solution found there is the solution.
+    /// Newton's method from a first guess, which nearly always converges; else from the safe inverse of the
+    /// radial part. Within `limit` the model is one-to-one, so any solution found there is the solution.
     #[inline]
     fn undistort(&self, distorted: &Vector2<f64>) -> Option<Vector2<f64>> {
         let guess = distorted / self.factor(distorted.norm_squared()).0;

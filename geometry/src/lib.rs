@@ -5,11 +5,11 @@
 //!
 //! - Transforms are named `target_from_source`, coordinates `thing_in_frame`. Key frames store
 //!   `camera_from_world`: `X_camera = R X_world + t`, so that the camera centre is `-Rᵀ t`.
-//! - Perturbations act on the left, `exp(δ) * T`, with `δ = [rotation(3), translation(3)]`, and one more entry
-//!   for the logarithm of the scale where there is one.
+//! - Perturbations act on the left, `exp(δ) * T`, with `δ = [rotation(3), translation(3)]`, and one more
+//!   entry for the logarithm of the scale where there is one.
 //! - Quaternions are Hamilton's, stored `x, y, z, w`.
-//! - Camera axes: `x` right, `y` down, `z` forward. Pixel centres are at integers: the origin is the centre of
-//!   the top-left pixel, and the image covers `[-0.5, width - 0.5] × [-0.5, height - 0.5]`.
+//! - Camera axes: `x` right, `y` down, `z` forward. Pixel centres are at integers: the origin is the centre
+//!   of the top-left pixel, and the image covers `[-0.5, width - 0.5] × [-0.5, height - 0.5]`.
 //! - Angles are radians unless the name ends in `_deg`. Lengths are map units: monocular scale is free.
 //! - A *bearing* is the unit vector from the camera centre towards a scene point, in the camera frame.
 //!

@@ -11,8 +11,8 @@ use crate::{Direction, Pinhole, Pose, Similarity, so3};
 /// Planes whose normals are closer to parallel than this, in radians, do not define a line.
 const MIN_PLANE_ANGLE_RAD: f64 = 1e-9;
 
-/// How far, relative to its size, a stored line may be off unit length and orthogonality: many transformations may have
-/// passed over it since it was normalised, each adding some rounding.
+/// How far, relative to its size, a stored line may be off unit length and orthogonality: many
+/// transformations may have passed over it since it was normalised, each adding some rounding.
 const MAX_STORED_ERROR: f64 = 1e-6;
 
 /// An infinite line: a unit direction `v` and a moment `n = X × v`, the same for every point `X` on it.
@@ -49,8 +49,8 @@ impl Line3 {
         line.is_finite().then_some(line)
     }
 
-    /// A line that was one before, taken over bit for bit: for what was stored. `None` if the direction is not of unit
-    /// length, the moment not orthogonal to it, or anything not finite.
+    /// A line that was one before, taken over bit for bit: for what was stored. `None` if the direction is
+    /// not of unit length, the moment not orthogonal to it, or anything not finite.
     pub fn from_stored(moment: Vector3<f64>, direction: Vector3<f64>) -> Option<Self> {
         let is_unit = (direction.norm() - 1.0).abs() <= MAX_STORED_ERROR;
         let is_orthogonal = direction.dot(&moment).abs() <= MAX_STORED_ERROR * moment.norm().max(1.0);
@@ -133,8 +133,8 @@ impl Line3 {
         Self { moment, direction }
     }
 
-    /// The image line `l`, with `l · (u, v, 1) = 0` for its pixels, of this line in the frame of `camera`. Not
-    /// normalised; zero if the line passes the camera centre.
+    /// The image line `l`, with `l · (u, v, 1) = 0` for its pixels, of this line in the frame of `camera`.
+    /// Not normalised; zero if the line passes the camera centre.
     #[inline]
     pub fn image_line(&self, camera: &Pinhole) -> Vector3<f64> {
         let n = &self.moment;
@@ -195,17 +195,17 @@ pub fn triangulate(
 pub struct LineEstimate {
     /// The line, in the world.
     pub line: Line3,
-    /// How much better a line explains the planes than less than a line does: the second smallest singular value
-    /// of the stacked planes over the third, in `[0, 1]`. Small is good; near one the planes have no line in
-    /// common, or are all the same plane.
+    /// How much better a line explains the planes than less than a line does: the second smallest singular
+    /// value of the stacked planes over the third, in `[0, 1]`. Small is good; near one the planes have no
+    /// line in common, or are all the same plane.
     pub rank_ratio: f64,
 }
 
 /// The world line closest, in the linear sense, to the interpretation planes of two or more views, given as
 /// `camera_from_world` and unit normal in that camera. `None` if the planes are parallel or coincide.
 ///
-/// `scene_depth` is a typical distance of the line from the cameras, which balances offsets of the planes against
-/// their directions.
+/// `scene_depth` is a typical distance of the line from the cameras, which balances offsets of the planes
+/// against their directions.
 pub fn triangulate_many(views: &[(Pose, Vector3<f64>)], scene_depth: f64) -> Option<LineEstimate> {
     /// Singular values are measured with rounding errors of about this relative size.
     const MIN_RELATIVE_SINGULAR_VALUE: f64 = 1e-7;
@@ -239,8 +239,8 @@ pub fn triangulate_many(views: &[(Pose, Vector3<f64>)], scene_depth: f64) -> Opt
     Some(LineEstimate { line, rank_ratio: singular[1] / singular[2] })
 }
 
-/// The world line of the known `direction` closest to the interpretation planes of two or more views, given as
-/// `camera_from_world` and unit normal in that camera. `None` if they do not determine it.
+/// The world line of the known `direction` closest to the interpretation planes of two or more views, given
+/// as `camera_from_world` and unit normal in that camera. `None` if they do not determine it.
 pub fn triangulate_with_direction(views: &[(Pose, Vector3<f64>)], direction: &Direction) -> Option<Line3> {
     /// Smallest reciprocal condition of the 2 x 2 normal equations.
     const MIN_RECIPROCAL_CONDITION: f64 = 1e-12;
@@ -329,8 +329,8 @@ impl OrthonormalLine {
         Vector4::new(theta.x, theta.y, theta.z, turn)
     }
 
-    /// The moment `w₁ u₁` and direction `w₂ u₂`, of which [`jacobian`](Self::jacobian) is the derivative. Unlike
-    /// those of [`Line3`] they are scaled to `|n|² + |v|² = 1`.
+    /// The moment `w₁ u₁` and direction `w₂ u₂`, of which [`jacobian`](Self::jacobian) is the derivative.
+    /// Unlike those of [`Line3`] they are scaled to `|n|² + |v|² = 1`.
     #[inline]
     pub fn pluecker(&self) -> (Vector3<f64>, Vector3<f64>) {
         let u = self.columns();
@@ -354,7 +354,8 @@ impl OrthonormalLine {
     }
 }
 
-/// The derivative `[R, [t]× R]` of the moment in the camera by Plücker coordinates in the world, moment first.
+/// The derivative `[R, [t]× R]` of the moment in the camera by Plücker coordinates in the world, moment
+/// first.
 #[inline]
 pub fn d_moment_d_pluecker(camera_from_world: &Pose) -> Matrix3x6<f64> {
     let r = camera_from_world.rotation_matrix();

@@ -2,7 +2,8 @@
 
 use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 
-/// How a camera differs from its calibration in focal length and principal point; the same at every size of the image.
+/// How a camera differs from its calibration in focal length and principal point; the same at every size of
+/// the image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PinholeCorrection {
     /// Relative change of both focal lengths.
@@ -29,7 +30,8 @@ impl PinholeCorrection {
         *self == Self::default()
     }
 
-    /// Takes a ray of the corrected camera to that of the nominal one which is seen at the same pixel. Linear in the ray.
+    /// Takes a ray of the corrected camera to that of the nominal one which is seen at the same pixel. Linear
+    /// in the ray.
     pub fn nominal_from_corrected(&self) -> Matrix3<f64> {
         let focal = 1.0 + self.focal;
         Matrix3::new(focal, 0.0, self.centre_x, 0.0, focal, self.centre_y, 0.0, 0.0, 1.0)

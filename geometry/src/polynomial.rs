@@ -18,8 +18,8 @@ fn evaluate(coefficients: &[f64], x: f64) -> (f64, f64) {
 /// where ±1 is not rare, falls on the seam.
 const SEAM: f64 = 1.0625;
 
-/// The simple real roots, not ordered. Roots are sought in `[-SEAM, SEAM]`, and those outside as the inverses of
-/// the roots of the reversed polynomial, so that nothing overflows and no bound on their size is needed.
+/// The simple real roots, not ordered. Roots are sought in `[-SEAM, SEAM]`, and those outside as the inverses
+/// of the roots of the reversed polynomial, so that nothing overflows and no bound on their size is needed.
 ///
 /// Double roots may be missed: between two roots of the derivative the sign does not change there.
 pub(crate) fn real_roots(coefficients: &[f64]) -> Vec<f64> {
@@ -41,8 +41,8 @@ pub(crate) fn real_roots(coefficients: &[f64]) -> Vec<f64> {
     roots
 }
 
-/// Roots in `[-SEAM, SEAM)`, ascending. Between neighbouring roots of the derivative a polynomial is monotone, so it has
-/// at most one root there; and so down to the derivative that is a line.
+/// Roots in `[-SEAM, SEAM)`, ascending. Between neighbouring roots of the derivative a polynomial is
+/// monotone, so it has at most one root there; and so down to the derivative that is a line.
 fn roots_within_seam(coefficients: &[f64], roots: &mut Vec<f64>) {
     let degree = coefficients.len().saturating_sub(1);
     let mut derivatives = [[0.0; MAX_DEGREE + 1]; MAX_DEGREE + 1];
@@ -72,7 +72,8 @@ fn roots_within_seam(coefficients: &[f64], roots: &mut Vec<f64>) {
     roots.extend_from_slice(&found[..n_roots]);
 }
 
-/// The root in `[low, high)` of a function monotone there, by Newton's method kept inside the bracket by bisection.
+/// The root in `[low, high)` of a function monotone there, by Newton's method kept inside the bracket by
+/// bisection.
 fn root_between(polynomial: &[f64], mut low: f64, mut high: f64) -> Option<f64> {
     let (value_low, _) = evaluate(polynomial, low);
     let (value_high, _) = evaluate(polynomial, high);

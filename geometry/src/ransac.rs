@@ -19,8 +19,8 @@ pub trait Estimator {
     /// Appends every model that fits the data with the indices `sample` to `models`.
     fn fit_sample(&self, sample: &[usize], models: &mut Vec<Self::Model>);
 
-    /// How badly `model` explains one datum, in units the threshold is in. Numbers that are not finite count as
-    /// infinitely bad.
+    /// How badly `model` explains one datum, in units the threshold is in. Numbers that are not finite count
+    /// as infinitely bad.
     fn squared_residual(&self, model: &Self::Model, datum: usize) -> f64;
 
     /// A better model from all data it explains, or `None` to keep it as it is.
@@ -32,8 +32,8 @@ pub trait Estimator {
 /// How long to search and what counts as explained.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RansacConfig {
-    /// A datum is an inlier if its squared residual is below this. Default 5.991, the 95 % bound of a residual
-    /// of two dimensions in units of its standard deviation.
+    /// A datum is an inlier if its squared residual is below this. Default 5.991, the 95 % bound of a
+    /// residual of two dimensions in units of its standard deviation.
     pub max_squared_residual: f64,
     /// Samples drawn at least, so that an early lucky one is not the only one. Default 10.
     pub min_iterations: usize,
@@ -67,8 +67,8 @@ pub struct RansacReport<M> {
 
 /// Searches for the model that explains most data best.
 ///
-/// `None` if there are fewer data than a sample needs, or no sample gave a model that explains at least as many
-/// data as a sample has.
+/// `None` if there are fewer data than a sample needs, or no sample gave a model that explains at least as
+/// many data as a sample has.
 pub fn ransac<E: Estimator>(
     estimator: &E,
     config: &RansacConfig,
@@ -135,8 +135,8 @@ impl<E: Estimator> Search<'_, E> {
             .collect()
     }
 
-    /// Refines while that lowers the cost, at most a few times: the set of inliers changes with the model. A model
-    /// from a noisy minimal sample misses many true inliers, so wider sets are tried first.
+    /// Refines while that lowers the cost, at most a few times: the set of inliers changes with the model. A
+    /// model from a noisy minimal sample misses many true inliers, so wider sets are tried first.
     fn refined(&self, mut model: E::Model, mut cost: f64) -> (E::Model, f64) {
         const MAX_ROUNDS: usize = 3;
         const WIDENINGS: [f64; 3] = [9.0, 4.0, 1.0];

@@ -115,8 +115,8 @@ impl Similarity {
         self.scale.is_finite() && self.scale > 0.0 && Pose::new(self.rotation, self.translation).is_finite()
     }
 
-    /// The similarity, or with `with_scale == false` the rigid motion, that brings the points `source` closest
-    /// to `target` in the sense of least squares [Horn 1987].
+    /// The similarity, or with `with_scale == false` the rigid motion, that brings the points `source`
+    /// closest to `target` in the sense of least squares [Horn 1987].
     ///
     /// The slices pair up by index. `None` if there are fewer than three pairs, the slices differ in length,
     /// the points lie on one line, so that the rotation about it is free, or anything is not finite.
@@ -176,9 +176,9 @@ impl Mul<Vector3<f64>> for Similarity {
 /// `∫ exp(σu) exp(u φ) du` over `u` in `[0, 1]`: what the translation part of a tangent vector is multiplied
 /// by.
 ///
-/// The closed form is `0 / 0` where the rotation, the scale or both vanish, each in its own way. The integrand
-/// is entire, so Gauss-Legendre quadrature is exact to rounding everywhere: with ten nodes its error is below
-/// `1e-17` while `|σ + iθ| <= 4`, and longer intervals are cut.
+/// The closed form is `0 / 0` where the rotation, the scale or both vanish, each in its own way. The
+/// integrand is entire, so Gauss-Legendre quadrature is exact to rounding everywhere: with ten nodes its
+/// error is below `1e-17` while `|σ + iθ| <= 4`, and longer intervals are cut.
 fn mean_scaled_rotation(phi: &Vector3<f64>, sigma: f64) -> Matrix3<f64> {
     let theta2 = phi.norm_squared();
     let extent = (theta2 + sigma * sigma).sqrt();

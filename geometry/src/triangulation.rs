@@ -4,7 +4,8 @@ use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3};
 
 use crate::Pose;
 
-/// Rays closer to parallel than this, in radians, do not define a point: a thousandth of a pixel of most cameras.
+/// Rays closer to parallel than this, in radians, do not define a point: a thousandth of a pixel of most
+/// cameras.
 const MIN_PARALLAX_RAD: f64 = 1e-6;
 
 /// Gauss-Newton rounds that refine a point of many views; convergence is quadratic and takes two to four.
@@ -14,8 +15,8 @@ const MAX_REFINEMENTS: usize = 8;
 /// bearing further from the baseline's direction is left as it is, the other one turned into its epipolar
 /// plane [Lee & Civera 2019, L1 criterion]. A closed form of a few dozen operations.
 ///
-/// Bearings are unit vectors in the camera frames. `None` if the rays are parallel (the point is at infinity),
-/// the point is behind a camera, or anything is not finite.
+/// Bearings are unit vectors in the camera frames. `None` if the rays are parallel (the point is at
+/// infinity), the point is behind a camera, or anything is not finite.
 pub fn two_view(
     camera_a_from_world: &Pose,
     bearing_a: &Vector3<f64>,
@@ -45,11 +46,11 @@ pub fn two_view(
     (usable && point.iter().all(|x| x.is_finite())).then_some(point)
 }
 
-/// The world point seen from two or more cameras (`camera_from_world`, unit bearing), by the homogeneous linear
-/// method, then refined to the least sum of squared angular errors.
+/// The world point seen from two or more cameras (`camera_from_world`, unit bearing), by the homogeneous
+/// linear method, then refined to the least sum of squared angular errors.
 ///
-/// `None` with fewer than two views, if all rays are parallel, the point is behind a camera, or anything is not
-/// finite.
+/// `None` with fewer than two views, if all rays are parallel, the point is behind a camera, or anything is
+/// not finite.
 pub fn many_view(views: &[(Pose, Vector3<f64>)]) -> Option<Vector3<f64>> {
     let point = refine(views, linear(views)?)?;
     let in_front = views.iter().all(|(pose, bearing)| pose.transform(&point).dot(bearing) > 0.0);

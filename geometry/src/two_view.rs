@@ -1,7 +1,8 @@
-//! What two views of one scene have in common: fundamental and essential matrices, homographies, and the motions
-//! they stand for.
+//! What two views of one scene have in common: fundamental and essential matrices, homographies, and the
+//! motions they stand for.
 //!
-//! Matrices go from view *a* to view *b*: `bᵀ F a = 0` and `b ∼ H a`. Motions are `b_from_a`, `X_b = R X_a + t`.
+//! Matrices go from view *a* to view *b*: `bᵀ F a = 0` and `b ∼ H a`. Motions are `b_from_a`, `X_b = R X_a +
+//! t`.
 
 mod decomposition;
 mod five_point;
@@ -13,8 +14,8 @@ pub use linear::{fundamental_eight_point, homography_four_point};
 
 use nalgebra::{Matrix3, SymmetricEigen, UnitQuaternion, Vector2, Vector3};
 
-/// Squared distances of `a` and `b` from the epipolar lines of each other: in image a, in image b. Infinite or
-/// not a number at an epipole.
+/// Squared distances of `a` and `b` from the epipolar lines of each other: in image a, in image b. Infinite
+/// or not a number at an epipole.
 #[inline]
 pub fn squared_epipolar_distances(b_from_a: &Matrix3<f64>, a: &Vector2<f64>, b: &Vector2<f64>) -> (f64, f64) {
     let (a, b) = (a.push(1.0), b.push(1.0));
@@ -64,14 +65,14 @@ pub fn two_point_with_known_rotation(
     bearings_a: &[Vector3<f64>],
     bearings_b: &[Vector3<f64>],
 ) -> Option<Vector3<f64>> {
-    /// The translation is undetermined when the second smallest singular value of the unit epipolar normals is
-    /// below this.
+    /// The translation is undetermined when the second smallest singular value of the unit epipolar normals
+    /// is below this.
     const MIN_SINGULAR_VALUE: f64 = 1e-6;
     if bearings_a.len() != bearings_b.len() || bearings_a.len() < 2 {
         return None;
     }
-    // t is orthogonal to R a × b for each pair. Left at their length, the sine of the parallax, so that far points,
-    // whose normals are noise, count little.
+    // t is orthogonal to R a × b for each pair. Left at their length, the sine of the parallax, so that far
+    // points, whose normals are noise, count little.
     let mut normal_matrix = Matrix3::zeros();
     for (a, b) in bearings_a.iter().zip(bearings_b) {
         let normal = (b_from_a_rotation * a).cross(b);

@@ -16,7 +16,8 @@ fn parameters(
     CameraParameters { model, width, height, fx, fy, cx, cy, distortion: d.to_vec() }
 }
 
-/// Calibrations of real cameras: EuRoC, TUM RGB-D freiburg1, TUM-VI, TUM monoVO, a phone with OpenCV's rational model.
+/// Calibrations of real cameras: EuRoC, TUM RGB-D freiburg1, TUM-VI, TUM monoVO, a phone with OpenCV's
+/// rational model.
 fn all_parameters() -> Vec<CameraParameters> {
     use CameraModel::{Fov, KannalaBrandt, Radtan};
     let euroc = [458.654, 457.296, 367.215, 248.375];

@@ -285,7 +285,8 @@ fn three_points_without_a_pose_are_refused() {
     assert!(p3p(&same, &[Vector3::x(), Vector3::y(), Vector3::z()]).is_empty());
 }
 
-/// `n` observations from a random pose with one pixel of noise, the first half of which is replaced by nonsense.
+/// `n` observations from a random pose with one pixel of noise, the first half of which is replaced by
+/// nonsense.
 fn observations_with_outliers(rng: &mut impl Rng, n: usize) -> (Pose, Vec<PoseObservation>) {
     let truth = support::pose(rng, 3.1, 5.0);
     let sigma_rad = 1.0 / CAMERA.fx;

@@ -1,5 +1,5 @@
-//! Processor milliseconds per Levenberg-Marquardt iteration on synthetic bundle adjustments of three sizes, and for the
-//! pose of a single frame. Run with `cargo run --release -p optim --example bundle_speed`.
+//! Processor milliseconds per Levenberg-Marquardt iteration on synthetic bundle adjustments of three sizes,
+//! and for the pose of a single frame. Run with `cargo run --release -p optim --example bundle_speed`.
 
 #[path = "../tests/common/mod.rs"]
 mod common;
@@ -61,8 +61,8 @@ fn main() {
     }
 }
 
-/// Four rounds of pose optimisation with a fifth of the observations wrong; too short for the processor clock,
-/// so the best of many by the wall clock.
+/// Four rounds of pose optimisation with a fifth of the observations wrong; too short for the processor
+/// clock, so the best of many by the wall clock.
 fn single_pose(n: usize) {
     let world = World::new(WorldSize { n_cameras: 2, n_points: n, n_observations: 2 * n }, 1.0, 3);
     let factors = || {

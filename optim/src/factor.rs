@@ -35,7 +35,8 @@ use crate::wiring::{Variables, Wiring};
 ///         Some((self.residual((p,))?, (d_residual_d_p,)))
 ///     }
 /// }
-/// optim::testing::assert_jacobians_match(&OnCircle { radius: 1.0, sigma: 0.1 }, &(Vector2::new(1.0, 2.0),), 1e-6, 1e-5);
+/// let (factor, at) = (OnCircle { radius: 1.0, sigma: 0.1 }, Vector2::new(1.0, 2.0));
+/// optim::testing::assert_jacobians_match(&factor, &(at,), 1e-6, 1e-5);
 /// ```
 pub trait Factor: Send + Sync + 'static {
     /// The residual, an `SVector<f64, R>`.

@@ -44,7 +44,8 @@
 //! }
 //!
 //! let cameras = [Pose::identity(), Pose::exp(&Vector6::new(0.0, 0.1, 0.0, -1.0, 0.0, 0.0))];
-//! let points: Vec<_> = (0..12).map(|i| Vector3::new(f64::from(i % 4), f64::from(i / 4), 5.0 + f64::from(i % 3))).collect();
+//! let point = |i| Vector3::new(f64::from(i % 4), f64::from(i / 4), 5.0 + f64::from(i % 3));
+//! let points: Vec<_> = (0..12).map(point).collect();
 //!
 //! let mut problem = Problem::new();
 //! let first = problem.add_variable(cameras[0]);

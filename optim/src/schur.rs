@@ -14,8 +14,8 @@
 //! ```
 //!
 //! `C⁻¹` is never formed: with `C = L Lᵀ` (damped), `F = E L⁻ᵀ` and `y = L⁻¹ g` it is `S = A − F Fᵀ`,
-//! `b = −g_r + F y`, which keeps `S` symmetric to the last bit and costs half. A landmark touches `S` only where
-//! two of its members meet; with members `a`, `b`, `c` it subtracts
+//! `b = −g_r + F y`, which keeps `S` symmetric to the last bit and costs half. A landmark touches `S` only
+//! where two of its members meet; with members `a`, `b`, `c` it subtracts
 //!
 //! ```text
 //!          a       b       c

@@ -140,8 +140,9 @@ impl Problem {
     /// ```
     /// # use optim::{Problem, SolverOptions};
     /// # let mut problem = Problem::new();
-    /// let stop = std::sync::atomic::AtomicBool::new(false);
-    /// let report = problem.solve(&SolverOptions::default(), || stop.load(std::sync::atomic::Ordering::Relaxed));
+    /// # use std::sync::atomic::{AtomicBool, Ordering};
+    /// let stop = AtomicBool::new(false);
+    /// let report = problem.solve(&SolverOptions::default(), || stop.load(Ordering::Relaxed));
     /// assert!(report.last.robust <= report.initial.robust);
     /// ```
     pub fn solve(&mut self, options: &SolverOptions, abort: impl Fn() -> bool) -> SolveReport {

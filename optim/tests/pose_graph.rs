@@ -13,8 +13,8 @@ use nalgebra::{Matrix3, Quaternion, SMatrix, SVector, UnitQuaternion, Vector3};
 use optim::testing::assert_jacobians_match;
 use optim::{Factor, Kernel, Linearized, Problem, SolverOptions};
 
-/// The chordal distance of a relative pose, `r = [√κ vec(R_j − R_i R_ij), √τ (t_j − t_i − R_i t_ij)]` with the
-/// `world_from_body` poses `i` and `j`: `‖r‖²` is the cost of SE-Sync [Rosen et al. 2019].
+/// The chordal distance of a relative pose, `r = [√κ vec(R_j − R_i R_ij), √τ (t_j − t_i − R_i t_ij)]` with
+/// the `world_from_body` poses `i` and `j`: `‖r‖²` is the cost of SE-Sync [Rosen et al. 2019].
 #[derive(Clone, Debug)]
 struct ChordalEdge {
     i_from_j: Pose,

@@ -1,8 +1,8 @@
 //! The service's messages, its server trait and its client, generated from `monoslam/v1/slam.proto`.
 //!
 //! No logic lives here: `server` and `client` convert to and from the domain types by hand.
-//! After a change of the .proto file, `UPDATE_GENERATED=1 cargo test -p proto --test generated` generates anew; where what
-//! is generated does not compile, as after a conflict, empty both files first.
+//! After a change of the .proto file, `UPDATE_GENERATED=1 cargo test -p proto --test generated` generates
+//! anew; where what is generated does not compile, as after a conflict, empty both files first.
 //!
 //! ```
 //! use proto::v1::{OpenStream, StreamFramesRequest, StreamPolicy, stream_frames_request::Message};

@@ -13,7 +13,8 @@ const PROTO_FILES: [&str; 1] = ["monoslam/v1/slam.proto"];
 /// The files that are generated, in `src/generated`.
 const GENERATED: [&str; 2] = ["monoslam.v1.rs", "descriptor.bin"];
 
-/// Compiles the .proto files in pure Rust (no protoc) and writes the messages, the server trait and the client.
+/// Compiles the .proto files in pure Rust (no protoc) and writes the messages, the server trait and the
+/// client.
 fn generate(folder: &Path) -> Result<(), Box<dyn Error>> {
     let files = protox::compile(PROTO_FILES, [env!("CARGO_MANIFEST_DIR")])?;
     fs::write(folder.join(GENERATED[1]), files.encode_to_vec())?;

@@ -1,7 +1,7 @@
 //! Recordings and trajectories on disk, and how far an estimated trajectory is from the true one.
 //!
-//! * [`Recording`]: a folder of images with their times, calibration and ground truth, in the [`Layout`]s in use;
-//!   [`find_folder`] also looks where `MONOSLAM_DATA` says that recordings are kept.
+//! * [`Recording`]: a folder of images with their times, calibration and ground truth, in the [`Layout`]s in
+//!   use; [`find_folder`] also looks where `MONOSLAM_DATA` says that recordings are kept.
 //! * [`Trajectory`]: stamped camera poses, read from and written to the usual text files.
 //! * [`evaluate`]: absolute and relative errors after alignment, the figures of `evo_ape` and `evo_rpe`.
 //!

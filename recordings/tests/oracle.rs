@@ -1,6 +1,7 @@
 //! The figures of `evaluate` against those of `evo`, an independent implementation, on its own test data.
 //!
-//! Expected values were printed by `evo_ape tum TRUTH ESTIMATE -as` and `evo_rpe tum TRUTH ESTIMATE -as` (1.38.1).
+//! Expected values were printed by `evo_ape tum TRUTH ESTIMATE -as` and `evo_rpe tum TRUTH ESTIMATE -as`
+//! (1.38.1).
 
 use std::path::Path;
 
@@ -37,8 +38,8 @@ fn freiburg1_xyz_agrees_with_evo() {
     assert_eq!((evaluation.poses, evaluation.matched), (32, 32));
 }
 
-/// One estimate, at this time, lies exactly halfway between two true poses. We compare integers and take the earlier;
-/// evo compares doubles, whose rounding makes the later one nearer.
+/// One estimate, at this time, lies exactly halfway between two true poses. We compare integers and take the
+/// earlier; evo compares doubles, whose rounding makes the later one nearer.
 const TIED_NS: i64 = 1_311_868_226_310_950_000;
 
 #[test]

@@ -1,4 +1,4 @@
-//! What a server runs with: defaults, under a TOML file, under the environment, under the command line.
+//! Configuration of a server: defaults, under a TOML file, under the environment, under the command line.
 //!
 //! Everything is read once, before a port opens, and checked by [`Config::validate`].
 
@@ -17,7 +17,8 @@ use std::time::Duration;
 pub struct Config {
     /// Folder of the database. It is made if it is not there.
     pub data_dir: PathBuf,
-    /// Where gRPC listens; port 0 takes a free one. Default 127.0.0.1:50051: nothing is open to the network unasked.
+    /// Where gRPC listens; port 0 takes a free one. Default 127.0.0.1:50051: nothing is open to the network
+    /// unasked.
     pub grpc_addr: SocketAddr,
     /// Where HTTP listens; port 0 takes a free one. Default 127.0.0.1:8080.
     pub http_addr: SocketAddr,
@@ -65,8 +66,8 @@ impl Default for Limits {
 pub struct SessionConfig {
     /// Seconds without a writer after which a session leaves memory. Default 60.
     pub idle_unload_s: f64,
-    /// Frames that wait for tracking in a LOSSLESS stream before the client is held back. Default 4: enough to keep
-    /// tracking busy, few enough that large raw images do not fill the memory.
+    /// Frames that wait for tracking in a LOSSLESS stream before the client is held back. Default 4: enough
+    /// to keep tracking busy, few enough that large raw images do not fill the memory.
     pub lossless_queue_frames: usize,
     /// Newest frames kept waiting in a REALTIME stream; older ones are dropped. Default 2.
     pub realtime_queue_frames: usize,
@@ -74,8 +75,8 @@ pub struct SessionConfig {
     pub keep_keyframe_images: bool,
     /// Seconds between attempts to save after one failed, as when the disk is full. Default 1.
     pub save_retry_s: f64,
-    /// Single images located at the same time; further ones wait their turn. Default 1: each takes a core and as much
-    /// memory as its map.
+    /// Single images located at the same time; further ones wait their turn. Default 1: each takes a core and
+    /// as much memory as its map.
     pub n_localisations: usize,
 }
 
@@ -140,7 +141,8 @@ fn of_server(variables: impl Iterator<Item = (OsString, OsString)>) -> HashMap<S
         .collect()
 }
 
-/// The command line's share of the configuration; what is left out comes from the environment, the file or the default.
+/// The command line's share of the configuration; what is left out comes from the environment, the file or
+/// the default.
 #[derive(Clone, Debug, Default, Args)]
 pub struct ConfigArgs {
     /// Folder of the database; made if it is not there
@@ -161,7 +163,8 @@ pub struct ConfigArgs {
 }
 
 impl Config {
-    /// The defaults with the database in `data_dir` and ports that are free: what tests and demonstrations run.
+    /// The defaults with the database in `data_dir` and ports that are free: what tests and demonstrations
+    /// run.
     pub fn local(data_dir: impl Into<PathBuf>) -> Self {
         Self {
             data_dir: data_dir.into(),
@@ -171,8 +174,8 @@ impl Config {
         }
     }
 
-    /// Reads the file and the environment (`MONOSLAM_GRPC_ADDR`, `MONOSLAM_LIMITS__MAX_SESSIONS`, …) and puts the
-    /// command line over them.
+    /// Reads the file and the environment (`MONOSLAM_GRPC_ADDR`, `MONOSLAM_LIMITS__MAX_SESSIONS`, …) and puts
+    /// the command line over them.
     ///
     /// # Errors
     /// If the file cannot be read, or a value cannot be used; the message names it.

@@ -1,8 +1,8 @@
 //! Monocular SLAM as a service: sessions over gRPC and HTTP, kept in a database as they are made.
 //!
-//! [`Server::start`] runs a server inside this process, [`Config`] says how, and [`Service`] is what both interfaces
-//! call: the modules [`grpc`] and [`rest`] decode, call it and encode. The sessions themselves live in [`session`],
-//! each on a thread of its own; what can be asked of their maps stands in [`maps`].
+//! [`Server::start`] runs a server inside this process, [`Config`] says how, and [`Service`] is what both
+//! interfaces call: the modules [`grpc`] and [`rest`] decode, call it and encode. The sessions themselves
+//! live in [`session`], each on a thread of its own; what can be asked of their maps stands in [`maps`].
 //!
 //! ```no_run
 //! # async fn example() -> anyhow::Result<()> {

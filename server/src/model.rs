@@ -1,6 +1,8 @@
-//! What callers are told in, whichever interface they ask by: cameras, states, poses, and what a length of 1 means.
+//! What callers are told in, whichever interface they ask by: cameras, states, poses, and what a length of 1
+//! means.
 //!
-//! Serialised, these are the JSON of the HTTP interface and of exported files; the gRPC interface has messages of its own.
+//! Serialised, these are the JSON of the HTTP interface and of exported files; the gRPC interface has
+//! messages of its own.
 
 use geometry::nalgebra::Vector3;
 use geometry::{CameraModel, CameraParameters};

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use slam::{FeatureSwitches, SlamConfig, Threading};
 use utoipa::ToSchema;
 
-/// What a session runs with; every field left out takes the server's default.
+/// Options of a session; every field left out takes the server's default.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(default, deny_unknown_fields)]
 #[schema(as = Options)]
@@ -31,7 +31,7 @@ pub struct SessionOptions {
     /// Whether loops are closed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub loop_closing: Option<bool>,
-    /// Whether the calibration is put right as the map grows.
+    /// Self-calibration: whether focal length and principal point are refined as the map grows.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refine_calibration: Option<bool>,
     /// Most key frames the session keeps.
@@ -39,7 +39,8 @@ pub struct SessionOptions {
     pub max_keyframes: Option<u32>,
 }
 
-/// Conversion between two types with a field for each option. Naming each makes the compiler see when one is added.
+/// Conversion between two types with a field for each option. Naming each makes the compiler see when one is
+/// added.
 macro_rules! convert_options {
     ($from:path => $to:path) => {
         impl From<$from> for $to {

@@ -17,8 +17,8 @@ pub struct PageRequest {
 }
 
 impl PageRequest {
-    /// The page that a token of the page before leads to, or, with an empty token, the first one; a size of 0 takes the
-    /// default.
+    /// The page that a token of the page before leads to, or, with an empty token, the first one; a size of 0
+    /// takes the default.
     ///
     /// # Errors
     /// If the page is too large.

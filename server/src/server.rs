@@ -25,8 +25,8 @@ const LOCK_FILE: &str = "monoslam.lock";
 pub struct Server;
 
 impl Server {
-    /// Opens the database and both ports. The server serves until [`Running::shutdown`]; port 0 takes a free one,
-    /// which [`Running`] tells.
+    /// Opens the database and both ports. The server serves until [`Running::shutdown`]; port 0 takes a free
+    /// one, which [`Running`] tells.
     ///
     /// # Errors
     /// If the configuration cannot be used, the database cannot be opened, or a port is taken.
@@ -69,7 +69,8 @@ pub struct Running {
 pub enum Shutdown {
     /// Everything ended by itself and is saved.
     Complete,
-    /// The grace period ran out; what was running was abandoned. The database is whole, as of its last commits.
+    /// The grace period ran out; what was running was abandoned. The database is whole, as of its last
+    /// commits.
     Abandoned,
 }
 
@@ -84,8 +85,8 @@ impl Running {
         &self.store
     }
 
-    /// Stops accepting, ends the streams, waits until every session is saved, and closes the database, all within
-    /// the configured grace period.
+    /// Stops accepting, ends the streams, waits until every session is saved, and closes the database, all
+    /// within the configured grace period.
     pub async fn shutdown(self) -> Shutdown {
         let Self { service, store, closing, tasks, grace, _lock, .. } = self;
         tracing::info!("shutting down: no new connections, streams end, sessions are saved");

@@ -45,7 +45,7 @@ pub struct NewSession {
     pub id: Option<SessionId>,
     /// Its camera.
     pub camera: CameraParameters,
-    /// What it runs with.
+    /// The session's options.
     pub options: SessionOptions,
 }
 
@@ -62,7 +62,7 @@ impl Service {
         Ok(Self { config, store, maps, registry, n_sessions, localisations })
     }
 
-    /// What it runs with.
+    /// The session's options.
     pub fn config(&self) -> &Config {
         &self.config
     }
@@ -188,7 +188,8 @@ impl Service {
     /// Locates one image in a session's map, as of its last commit, without changing anything.
     ///
     /// # Errors
-    /// If there is none of this id, the image cannot be used, or too many wait. A place that is not found is no error.
+    /// If there is none of this id, the image cannot be used, or too many wait. A place that is not found is
+    /// no error.
     pub async fn localise(&self, id: &SessionId, image: SentImage) -> Result<Located, ApiError> {
         self.registry.check_open()?;
         self.store.get_session(id.as_str()).await?;

@@ -162,8 +162,8 @@ async fn assert_one_frame_of_reference(http_addr: SocketAddr, world: &SmallWorld
     let (before, after): (Vec<_>, Vec<_>) = rows.iter().partition(|row| sequence(row) < restart);
     assert!(before.len() > 10 && after.len() > 10, "{} poses before, {} after", before.len(), after.len());
 
-    // Distances between positions of both parts, in map units per true unit: one scale for all of them, were the
-    // parts in different frames of reference they would scatter.
+    // Distances between positions of both parts, in map units per true unit: one scale for all of them, were
+    // the parts in different frames of reference they would scatter.
     let estimate = |row: &Vec<&str>| [5, 6, 7].map(|column| row[column].parse::<f64>().unwrap());
     let truth = |row: &Vec<&str>| world.camera_position(sequence(row));
     let distance = |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt();

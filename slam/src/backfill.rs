@@ -1,9 +1,10 @@
-//! Poses for frames that came before there was a good map: while there was none, while the camera was lost, and while
-//! the map was young and its geometry still rough.
+//! Backfill: poses for frames that came before there was a good map: while there was none, while the camera
+//! was lost, and while the map was young and its geometry still rough.
 //!
-//! Their features are kept for a while. Once the map is good enough, the recording is followed backwards from the
-//! present frame, one kept frame per new frame, so that no frame takes much longer than another. What lies between two
-//! submaps and is reached from neither is kept on, and followed from both sides once the two have been merged.
+//! Their features are kept for a while. Once the map is good enough, the recording is followed backwards from
+//! the present frame, one kept frame per new frame, so that no frame takes much longer than another. What
+//! lies between two submaps and is reached from neither is kept on, and followed from both sides once the two
+//! have been merged.
 
 use crate::config::{InitialisationConfig, SlamConfig};
 use crate::features::View;
@@ -94,7 +95,8 @@ impl Backfill {
         }
     }
 
-    /// Keeps a frame that got no pose, or got one while the map was young; the oldest goes when there are too many.
+    /// Keeps a frame that got no pose, or got one while the map was young; the oldest goes when there are too
+    /// many.
     pub fn keep(&mut self, view: &View, n_inliers: Option<usize>) {
         if n_inliers.is_none() {
             self.lost_at = self.last.take().or(self.lost_at.take());
@@ -269,8 +271,8 @@ impl Way {
     }
 }
 
-/// Whether the key frames of the frame's submap are many enough, and spread widely enough, for its depths to be known
-/// well.
+/// Whether the key frames of the frame's submap are many enough, and spread widely enough, for its depths to
+/// be known well.
 fn is_mature(map: &Map, frame: &TrackedFrame, config: &InitialisationConfig) -> bool {
     let in_submap = || map.keyframes_of(frame.submap);
     if in_submap().take(config.mature_keyframes).count() < config.mature_keyframes {

@@ -1,4 +1,4 @@
-//! Where a camera can have gone: two places that look alike are told apart by the way between them.
+//! Motion continuity: how far a camera can have moved. Two places that look alike are told apart by it.
 
 use crate::config::ContinuityConfig;
 use crate::map::{Keyframe, KeyframeId, Map, SubmapId, median_depth};
@@ -71,7 +71,8 @@ impl Reach {
     }
 }
 
-/// Whether the camera can have gone from the older submap to where `older_from_newer` says that the newer one began.
+/// Whether the camera can have gone from the older submap to where `older_from_newer` says that the newer one
+/// began.
 pub(crate) fn can_follow(
     map: &Map,
     older: SubmapId,

@@ -15,14 +15,15 @@ pub struct PyramidGeometry {
 }
 
 impl PyramidGeometry {
-    /// Pixels of the full image per pixel of the level: also the standard deviation of a keypoint's position found
-    /// there, in pixels of the full image.
+    /// Pixels of the full image per pixel of the level: also the standard deviation of a keypoint's position
+    /// found there, in pixels of the full image.
     #[inline]
     pub fn scale(self, octave: u8) -> f64 {
         self.scale_factor.powi(i32::from(octave))
     }
 
-    /// The level at which something seen at `octave_scale` for the full range `farthest` appears at `distance`.
+    /// The level at which something seen at `octave_scale` for the full range `farthest` appears at
+    /// `distance`.
     #[inline]
     pub fn predict_octave(self, farthest: f64, distance: f64) -> u8 {
         let octave = ((farthest / distance).ln() / self.scale_factor.ln()).ceil();
@@ -39,9 +40,10 @@ pub struct LineFeature {
     pub end: Vector2<f64>,
     /// Standard deviation of the line's position at the ends, across it, pixels.
     pub sigma_px: f64,
-    /// Looks of the segment's surroundings.
+    /// Descriptor (LBD) of the segment's surroundings.
     pub descriptor: Descriptor,
-    /// Number of the track through the frames that the segment belongs to. Begins anew with each run of a session.
+    /// Number of the track through the frames that the segment belongs to. Begins anew with each run of a
+    /// session.
     pub track: u64,
 }
 
@@ -74,7 +76,8 @@ impl View {
     }
 }
 
-/// The points and lines of one frame. Immutable once made and shared between the frame, its key frame and the store.
+/// The points and lines of one frame. Immutable once made and shared between the frame, its key frame and the
+/// store.
 #[derive(Clone, Debug)]
 pub struct FrameFeatures {
     /// Keypoints as detected, in pixels of the working image.
@@ -87,7 +90,8 @@ pub struct FrameFeatures {
     pub lines: Vec<LineFeature>,
     /// The ideal camera of the calibration, in whose pixels the undistorted coordinates are.
     pub nominal_pinhole: Pinhole,
-    /// The ideal camera that sees these pixels: the nominal one, corrected as far as the session knows better.
+    /// The ideal camera that sees these pixels: the nominal one, corrected as far as the session knows
+    /// better.
     pub pinhole: Pinhole,
     /// The resolutions the keypoints were looked for in.
     pub pyramid: PyramidGeometry,
@@ -112,7 +116,8 @@ impl FrameFeatures {
         Self::assemble(keypoints, undistorted, descriptors, camera, pyramid)
     }
 
-    /// Rebuilds stored features. `None` if the lengths differ or a keypoint lies where the lens model has no inverse.
+    /// Rebuilds stored features. `None` if the lengths differ or a keypoint lies where the lens model has no
+    /// inverse.
     pub fn from_parts(
         keypoints: Vec<Keypoint>,
         descriptors: Vec<Descriptor>,

@@ -52,7 +52,8 @@ pub enum FrameError {
 }
 
 impl Frame {
-    /// Whether the frame can follow the last one, given as its number and time, in a stream of the camera's images.
+    /// Whether the frame can follow the last one, given as its number and time, in a stream of the camera's
+    /// images.
     pub(crate) fn check(&self, camera: &Camera, last_frame: Option<(u64, i64)>) -> Result<(), FrameError> {
         let (width, height) = (self.image.width(), self.image.height());
         let (expected_width, expected_height) = (camera.width(), camera.height());

@@ -1,15 +1,17 @@
-//! The engine: monocular SLAM with points, lines and vanishing directions. Images of one camera in, poses and a
-//! map out.
+//! The engine: monocular SLAM with points, lines and vanishing directions. Images of one camera in, poses and
+//! a map out.
 //!
 //! * [`Pipeline`]: one frame in, one [`FrameReport`] out. Start reading at [`Pipeline::process_frame`].
-//! * [`Map`]: keyframes, map points, map lines and global primitives; a value, of which readers get snapshots.
+//! * [`Map`]: keyframes, map points, map lines and global primitives; a value, of which readers get
+//!   snapshots.
 //! * [`SlamConfig`]: every threshold, with its default, unit and reason.
 //!
-//! The stages: feature extraction, initialization, tracking, local mapping, bundle adjustment, self-calibration,
-//! loop closing, relocalization. What they compute is in `docs/method.md`, which comments cite by heading.
+//! The stages: feature extraction, initialization, tracking, local mapping, bundle adjustment,
+//! self-calibration, loop closing, relocalization. What they compute is in `docs/method.md`, which comments
+//! cite by heading.
 //!
-//! The engine does no I/O, reads no clock and owns no random numbers: time and seeds come in as arguments. With
-//! [`Threading::Inline`] the same frames give the same bytes.
+//! The engine does no I/O, reads no clock and owns no random numbers: time and seeds come in as arguments.
+//! With [`Threading::Inline`] the same frames give the same bytes.
 //!
 //! # The engine without the server
 //!

@@ -2,7 +2,8 @@
 
 use std::sync::{Mutex, PoisonError};
 
-/// Runs both, the second on a thread of its own of this name; one after the other where no thread can be started.
+/// Runs both, the second on a thread of its own of this name; one after the other where no thread can be
+/// started.
 pub(crate) fn join<A, B: Send>(
     name: &str,
     first: impl FnOnce() -> A,

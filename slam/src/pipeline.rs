@@ -25,9 +25,10 @@ use vision::lines::LineTrackingStatistics;
 
 /// A monocular SLAM session: frames in, reports and map updates out.
 ///
-/// One frame passes through `extract`, then `track` or, while there is no map to follow, `initialise`, then `extend` (a
-/// frame that shows something new becomes a key frame, and mapping takes it from there). A camera that is lost for long
-/// begins a new submap, while it is still looked for in the others; mapping joins the submaps where they meet.
+/// One frame passes through `extract`, then `track` or, while there is no map to follow, `initialise`, then
+/// `extend` (a frame that shows something new becomes a key frame, and mapping takes it from there). A camera
+/// that is lost for long begins a new submap, while it is still looked for in the others; mapping joins the
+/// submaps where they meet.
 pub struct Pipeline {
     config: SlamConfig,
     camera: Camera,
@@ -59,8 +60,8 @@ impl Pipeline {
         let mut stopwatch = Stopwatch::start(self.clock.clone());
 
         let (mut view, line_statistics) = self.extract(frame, &mut stopwatch);
-        // A stream that comes as fast as it is taken would run ahead of the map, further than any camera does: where new texture
-        // is all there is, what the newest key frames add decides the scale.
+        // A stream that comes as fast as it is taken would run ahead of the map, further than any camera
+        // does: where new texture is all there is, what the newest key frames add decides the scale.
         if self.lossless {
             self.mapping.wait();
         }
@@ -176,7 +177,8 @@ impl Pipeline {
         }
     }
 
-    /// While a further submap is young, looks for its frames in the others, and goes on there if one is found.
+    /// While a further submap is young, looks for its frames in the others, and goes on there if one is
+    /// found.
     fn find_elsewhere(&mut self, view: &View) -> Option<Tracked> {
         if !self.mapping_enabled || !self.submaps.is_search_due(&self.map) {
             return None;

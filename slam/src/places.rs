@@ -1,11 +1,11 @@
-//! Which key frames of the map look like an image.
+//! Place recognition (image retrieval): which keyframes of the map look like an image.
 
 use crate::map::{KeyframeId, Map};
 use std::collections::BTreeSet;
 use vision::Descriptor;
 use vision::place::PlaceIndex;
 
-/// An index of a map's key frames by their looks, kept in step with the map.
+/// An index of a map's keyframes by their descriptors, kept in step with the map.
 #[derive(Debug, Default)]
 pub(crate) struct KeyframePlaces {
     index: PlaceIndex,

@@ -103,8 +103,8 @@ pub enum LostReason {
     },
 }
 
-/// How well a frame's landmarks determine its pose: standard deviations along the worst determined directions, as far as
-/// noise of the image alone is concerned.
+/// How well a frame's landmarks determine its pose: standard deviations along the worst determined
+/// directions, as far as noise of the image alone is concerned.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseUncertainty {
     /// Of the attitude, radians.
@@ -182,7 +182,8 @@ pub enum MapEvent {
         matched: KeyframeId,
         /// Points of the place found in the key frame.
         n_matches: usize,
-        /// Scale of the place as it was first mapped, over that at which it was mapped again: the drift of the scale.
+        /// Scale of the place as it was first mapped, over that at which it was mapped again: the drift of
+        /// the scale.
         scale: f64,
     },
     /// Two submaps became one.
@@ -203,8 +204,8 @@ pub enum MapEvent {
         /// Against the calibration as it was given.
         correction: PinholeCorrection,
     },
-    /// The images contradict the calibration by more than it can be wrong by: it is used as it was given. The lens may be
-    /// described wrongly, or the images may have been resized or cropped.
+    /// The images contradict the calibration by more than it can be wrong by: it is used as it was given. The
+    /// lens may be described wrongly, or the images may have been resized or cropped.
     CalibrationContradicted {
         /// The camera that would fit the images best.
         correction: PinholeCorrection,
@@ -284,7 +285,8 @@ pub struct FrameReport {
     pub is_keyframe: bool,
     /// The pose was found by recognising the place, not by following the motion.
     pub relocalised: bool,
-    /// Places that were tried to find the camera, if it had to be looked for; the stage `relocalise` tells how long.
+    /// Places that were tried to find the camera, if it had to be looked for; the stage `relocalise` tells
+    /// how long.
     pub n_relocalisation_candidates: Option<usize>,
     /// Corrections of the map that took effect with this frame.
     pub map_events: Vec<MapEvent>,
@@ -327,7 +329,8 @@ impl LineVerdict {
     }
 }
 
-/// What mapping made of a track of segments at a key frame. One refused is judged again when the track has grown.
+/// What mapping made of a track of segments at a key frame. One refused is judged again when the track has
+/// grown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineJudgement {
     /// The client's number of the frame whose key frame brought the newest view.

@@ -52,8 +52,8 @@ impl SubmapPolicy {
         self.n_since_search = 0;
     }
 
-    /// A frame could not be placed: whether its submap is to be given up, and how. A map that was lost before it was of any
-    /// use goes at once, another is kept and in time followed by a new one.
+    /// A frame could not be placed: whether its submap is to be given up, and how. A map that was lost before
+    /// it was of any use goes at once, another is kept and in time followed by a new one.
     pub fn lost(&mut self, timestamp_ns: i64, was_followed: bool, map: &Map) -> Option<Abandoned> {
         let since = *self.lost_since_ns.get_or_insert(timestamp_ns);
         let is_young = self.is_young(map);
@@ -73,7 +73,8 @@ impl SubmapPolicy {
         map.keyframes_of(self.current).take(min_keyframes).count() < min_keyframes
     }
 
-    /// Whether this frame of a young submap should be looked for in the others: counts the frames that could be.
+    /// Whether this frame of a young submap should be looked for in the others: counts the frames that could
+    /// be.
     pub fn is_search_due(&mut self, map: &Map) -> bool {
         let has_others = map.keyframes().any(|keyframe| keyframe.submap != self.current);
         if !has_others || !self.is_young(map) {

@@ -1,5 +1,5 @@
-//! What unit tests of several modules are made of. (The crate `testkit` cannot serve them: it would bring a second version
-//! of this crate's types.)
+//! What unit tests of several modules are made of. (The crate `testkit` cannot serve them: it would bring a
+//! second version of this crate's types.)
 
 use geometry::{Camera, CameraModel, CameraParameters};
 

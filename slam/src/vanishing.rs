@@ -22,7 +22,8 @@ impl VanishingFinder {
         Ok(Self { estimator, planes: Vec::new(), segment_indices: Vec::new() })
     }
 
-    /// The vanishing points of a view's segments. Directions known to be there, in the camera's frame, help to find theirs.
+    /// The vanishing points of a view's segments. Directions known to be there, in the camera's frame, help
+    /// to find theirs.
     pub fn find(&mut self, features: &FrameFeatures, known: &[Vector3<f64>]) -> Vec<VanishingObservation> {
         let focal_px = features.pinhole.mean_focal_px();
         self.planes.clear();

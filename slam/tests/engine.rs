@@ -27,8 +27,8 @@ fn image(sequence: &Sequence, index: usize) -> GrayImage {
     gray_image(sequence.frame(index).image)
 }
 
-/// Root mean square distance to the truth after similarity alignment, as a share of the truth's path; a frame's number
-/// is its index.
+/// Root mean square distance to the truth after similarity alignment, as a share of the truth's path; a
+/// frame's number is its index.
 fn relative_error(sequence: &Sequence, trajectory: &BTreeMap<u64, Pose>) -> f64 {
     let truth = |number: u64| sequence.camera_from_world(number as usize).inverse();
     let evaluation = evaluate(trajectory, truth).unwrap();

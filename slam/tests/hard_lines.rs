@@ -1,4 +1,5 @@
-//! Images that are hard on lines, through the whole engine: bounded time, no panic, nothing non-finite in the map.
+//! Images that are hard on lines, through the whole engine: bounded time, no panic, nothing non-finite in the
+//! map.
 
 use geometry::nalgebra::Vector2;
 use slam::features::LineFeature;
@@ -9,7 +10,8 @@ use synthetic::{PathKind, Preset, Sequence, SequenceConfig};
 use testkit::{FRAME_INTERVAL_NS, Session, gray_image, inline, line_error};
 use vision::GrayImage;
 
-/// Bound on one frame, mapping included, in an unoptimised build on a busy machine; the usual is a tenth of it.
+/// Bound on one frame, mapping included, in an unoptimised build on a busy machine; the usual is a tenth of
+/// it.
 const MAX_FRAME_TIME: Duration = Duration::from_secs(5);
 
 fn assert_finite(map: &Map) {

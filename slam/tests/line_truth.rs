@@ -130,8 +130,8 @@ fn study(preset: Preset, seeds: std::ops::RangeInclusive<u64>, n_frames: usize, 
     sum
 }
 
-/// Every sixth of 300 frames, once round the room at five frames a second: at the full rate, segments that are followed
-/// from frame to frame hardly ever go astray, and verification would have little to show.
+/// Every sixth of 300 frames, once round the room at five frames a second: at the full rate, segments that
+/// are followed from frame to frame hardly ever go astray, and verification would have little to show.
 #[test]
 fn lines_of_twenty_poor_rooms_are_true_and_verification_removes_false_ones() {
     let sum = study(Preset::RoomPoor, 1..=20, 50, 6);

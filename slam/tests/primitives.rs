@@ -1,5 +1,5 @@
-//! Global primitives against the true directions of rendered worlds: rooms of three directions, a hall of more that are
-//! not at right angles, and a cave of none.
+//! Global primitives against the true directions of rendered worlds: rooms of three directions, a hall of
+//! more that are not at right angles, and a cave of none.
 
 use geometry::Direction;
 use geometry::nalgebra::Vector3;

@@ -1,5 +1,5 @@
-//! How long a typical key frame takes to store: one new key frame of 1000 keypoints, 300 new points, 2000 points and
-//! 20 key frames moved by bundle adjustment, 5 frames of trajectory. `cargo bench -p store`.
+//! How long a typical key frame takes to store: one new key frame of 1000 keypoints, 300 new points, 2000
+//! points and 20 key frames moved by bundle adjustment, 5 frames of trajectory. `cargo bench -p store`.
 
 use futures_util::TryStreamExt;
 use slam::map::{MapChanges, MapParts, SubmapId};

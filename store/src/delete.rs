@@ -6,8 +6,8 @@ use sqlx::SqliteConnection;
 /// Rows deleted per transaction: other sessions' commits wait some tens of milliseconds at most.
 const ROWS_PER_STEP: i64 = 5_000;
 
-/// Deletions that take at most the bound number of a session's rows each. Blobs first: the pages they free are what the
-/// R*Tree rearranges itself in when the database is full.
+/// Deletions that take at most the bound number of a session's rows each. Blobs first: the pages they free
+/// are what the R*Tree rearranges itself in when the database is full.
 const STEPS: [&str; 9] = [
     // Pages of blobs are what takes the time here, hence fewer rows.
     "DELETE FROM keyframe_images WHERE session = ?1 AND keyframe IN

@@ -9,8 +9,8 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection, TypeInfo, ValueRef};
 use std::fmt;
 
-/// Fingerprints of a session's tables. Equal for two sessions whose rows are the same, byte for byte, apart from the
-/// sessions' names and the wall-clock time of their creation. Prints as one line per table.
+/// Fingerprints of a session's tables. Equal for two sessions whose rows are the same, byte for byte, apart
+/// from the sessions' names and the wall-clock time of their creation. Prints as one line per table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Digest(pub Vec<TableDigest>);
 
@@ -36,8 +36,8 @@ impl fmt::Display for Digest {
     }
 }
 
-/// Every table with every column but the session's number and name and wall-clock time, ordered by key. Parameter 1
-/// is the session's number, 2 the mask of a point's id in a key.
+/// Every table with every column but the session's number and name and wall-clock time, ordered by key.
+/// Parameter 1 is the session's number, 2 the mask of a point's id in a key.
 const TABLES: [(&str, &str); 12] = [
     (
         "sessions",
@@ -131,7 +131,8 @@ async fn digest_table(
     Ok(TableDigest { table, n_rows, sha256: hasher.finalize().into() })
 }
 
-/// Hashes a value with its type and, where it varies, its length, so that no two rows hash the same by accident.
+/// Hashes a value with its type and, where it varies, its length, so that no two rows hash the same by
+/// accident.
 fn hash_value(hasher: &mut sha2::Sha256, row: &SqliteRow, column: usize) -> Result<(), StoreError> {
     let value = row.try_get_raw(column)?;
     if value.is_null() {

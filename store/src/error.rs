@@ -47,8 +47,8 @@ pub enum StoreError {
     /// The stored key frames were measured with other settings than those they should be taken up with.
     #[error("the session's key frames were made with other settings: {0}")]
     OtherSettings(String),
-    /// The disk, or the room allowed to the database, is used up. The last commit is intact and the update can be
-    /// tried again.
+    /// The disk, or the room allowed to the database, is used up. The last commit is intact and the update
+    /// can be tried again.
     #[error("there is no room left for the database; nothing of the last update was stored")]
     DiskFull(#[source] sqlx::Error),
     /// Reading or writing the file failed. The last commit is intact.

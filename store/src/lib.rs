@@ -1,22 +1,25 @@
-//! Where maps are kept: sessions, key frames, points, lines, global primitives and trajectories in one SQLite file.
+//! Where maps are kept: sessions, key frames, points, lines, global primitives and trajectories in one SQLite
+//! file.
 //!
-//! Start at [`Store`]. It takes and returns the types of `slam` and `geometry`, and nothing outside this crate knows
-//! that SQL is behind it.
+//! Start at [`Store`]. It takes and returns the types of `slam` and `geometry`, and nothing outside this
+//! crate knows that SQL is behind it.
 //!
-//! - [`Store::save_update`] writes one [`slam::MapUpdate`] in one transaction, and of it only the rows that changed.
+//! - [`Store::save_update`] writes one [`slam::MapUpdate`] in one transaction, and of it only the rows that
+//!   changed.
 //! - [`Store::load_session`] gives back what [`slam::Pipeline::resume`] goes on with.
-//! - [`Store::trajectory`], [`Store::points`], [`Store::lines`], [`Store::keyframes`], [`Store::primitive`] answer
-//!   questions about sessions, loaded or not, without holding a map in memory; [`Store::snapshot`] reads a whole map
-//!   piece by piece as of one commit. [`Store::check`] says whether everything stored makes sense.
+//! - [`Store::trajectory`], [`Store::points`], [`Store::lines`], [`Store::keyframes`], [`Store::primitive`]
+//!   answer questions about sessions, loaded or not, without holding a map in memory; [`Store::snapshot`]
+//!   reads a whole map piece by piece as of one commit. [`Store::check`] says whether everything stored makes
+//!   sense.
 //!
-//! After the end of the process, or of the machine, at any moment the database is as of its last commit: SQLite's
-//! write-ahead log, one writing connection, and one transaction per update see to that. Which columns hold wall-clock
-//! time is said in the migrations: only `sessions.created_at_ns`. Everything else depends on the updates alone, which
-//! [`Store::digest`] makes comparable.
+//! After the end of the process, or of the machine, at any moment the database is as of its last commit:
+//! SQLite's write-ahead log, one writing connection, and one transaction per update see to that. Which
+//! columns hold wall-clock time is said in the migrations: only `sessions.created_at_ns`. Everything else
+//! depends on the updates alone, which [`Store::digest`] makes comparable.
 //!
-//! Queries are checked when they run, not when they are compiled: the macros would need a database at build time or
-//! a copy of every statement's description in the repository, and could not check the statements here that are made
-//! of parts (many rows at once, optional conditions). Each statement is run by a test instead.
+//! Queries are checked when they run, not when they are compiled: the macros would need a database at build
+//! time or a copy of every statement's description in the repository, and could not check the statements here
+//! that are made of parts (many rows at once, optional conditions). Each statement is run by a test instead.
 //!
 //! ```
 //! # let runtime = tokio::runtime::Runtime::new().unwrap();
@@ -36,7 +39,8 @@
 //!     cy: 239.5,
 //!     distortion: vec![],
 //! };
-//! let new = NewSession { id: "kitchen".into(), camera, options: SessionOptions::default(), created_at_ns: 0 };
+//! let options = SessionOptions::default();
+//! let new = NewSession { id: "kitchen".into(), camera, options, created_at_ns: 0 };
 //! store.create_session(&new).await?;
 //! assert_eq!(store.list_sessions(None, 10).await?.items[0].id, "kitchen");
 //! assert!(store.check().await?.is_empty());

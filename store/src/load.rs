@@ -34,8 +34,8 @@ pub struct LoadedSession {
 impl Store {
     /// Reads a session with its whole map, as of the last commit.
     ///
-    /// `config` is what the session will run with. Keypoints are stored in pixels of the working camera, so it must
-    /// give the same working camera and pyramid as when they were made.
+    /// `config` is what the session will run with. Keypoints are stored in pixels of the working camera, so
+    /// it must give the same working camera and pyramid as when they were made.
     ///
     /// # Errors
     /// [`StoreError::SessionNotFound`], [`StoreError::OtherSettings`] if the configuration does not fit, and

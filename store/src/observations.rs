@@ -1,4 +1,5 @@
-//! Both sides of the observations: landmarks and primitives know who sees them, and key frames are told at load.
+//! Both sides of the observations: landmarks and primitives know who sees them, and key frames are told at
+//! load.
 
 use crate::StoreError;
 use slam::Keyframe;

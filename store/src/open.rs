@@ -18,24 +18,25 @@ pub enum Durability {
     /// The end of the process at any moment, and of the machine: each commit waits until the disk has it.
     #[default]
     PowerLoss,
-    /// The end of the process at any moment. When the machine stops, the last commits may be lost; the database stays
-    /// whole all the same. Spares slow disks.
+    /// The end of the process at any moment. When the machine stops, the last commits may be lost; the
+    /// database stays whole all the same. Spares slow disks.
     ProcessEnd,
 }
 
 /// How the database is used.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StoreOptions {
-    /// What a commit outlives. Default power loss: `durable_sequence` is a promise to the client, and waiting for
-    /// the disk happens on the writer's thread, where tracking does not notice it.
+    /// What a commit outlives. Default power loss: `durable_sequence` is a promise to the client, and waiting
+    /// for the disk happens on the writer's thread, where tracking does not notice it.
     pub durability: Durability,
-    /// How long to wait for a lock that another program holds. Default 5 s: a backup or an inspecting shell is let
-    /// through, a second server is not waited for.
+    /// How long to wait for a lock that another program holds. Default 5 s: a backup or an inspecting shell
+    /// is let through, a second server is not waited for.
     pub busy_timeout: Duration,
-    /// Connections that read at the same time. Default 4: one per core of a small server, each holds some megabytes.
+    /// Connections that read at the same time. Default 4: one per core of a small server, each holds some
+    /// megabytes.
     pub n_readers: u32,
-    /// Room the database may take, bytes; a commit beyond it fails with [`StoreError::DiskFull`]. Default no limit but
-    /// the disk's.
+    /// Room the database may take, bytes; a commit beyond it fails with [`StoreError::DiskFull`]. Default no
+    /// limit but the disk's.
     pub max_bytes: Option<u64>,
 }
 
@@ -52,8 +53,8 @@ impl Default for StoreOptions {
 
 /// The database. Cheap to clone; clones share the connections.
 ///
-/// One connection writes, in the order of the calls; a few read beside it, each from the last commit before its
-/// question began.
+/// One connection writes, in the order of the calls; a few read beside it, each from the last commit before
+/// its question began.
 #[derive(Clone, Debug)]
 pub struct Store {
     writer: SqlitePool,
@@ -63,9 +64,9 @@ pub struct Store {
 
 /// A transaction on the writing connection.
 ///
-/// One that is not committed closes its connection, which undoes it whatever state SQLite left it in: after some
-/// errors, such as a full disk, SQLite has ended the transaction itself, after others it has not. The next writer gets
-/// a new connection.
+/// One that is not committed closes its connection, which undoes it whatever state SQLite left it in: after
+/// some errors, such as a full disk, SQLite has ended the transaction itself, after others it has not. The
+/// next writer gets a new connection.
 pub(crate) struct WriteTransaction {
     connection: PoolConnection<Sqlite>,
     is_committed: bool,
@@ -120,8 +121,8 @@ impl Store {
     /// Rows of sessions whose deletion was interrupted are cleared away.
     ///
     /// # Errors
-    /// [`StoreError::NewerSchema`] if a later version of this program wrote it, and [`StoreError::NotAStore`] if it
-    /// is something else; neither is touched.
+    /// [`StoreError::NewerSchema`] if a later version of this program wrote it, and [`StoreError::NotAStore`]
+    /// if it is something else; neither is touched.
     pub async fn open(path: impl AsRef<Path>, options: StoreOptions) -> Result<Self, StoreError> {
         let path = path.as_ref().to_path_buf();
         if path.exists() {
@@ -169,8 +170,8 @@ impl Store {
         MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
     }
 
-    /// Begins a transaction that may write; undone unless committed. The lock is taken at once, so that it cannot
-    /// fail half-way for want of it.
+    /// Begins a transaction that may write; undone unless committed. The lock is taken at once, so that it
+    /// cannot fail half-way for want of it.
     pub(crate) async fn begin_write(&self) -> Result<WriteTransaction, StoreError> {
         // Made before the statement runs, so that giving up in the middle of it closes the connection too.
         let mut transaction =
@@ -184,8 +185,8 @@ impl Store {
         Ok(self.readers.acquire().await?)
     }
 
-    /// Begins a transaction in which every question is answered from the same commit. Keep it short: the log cannot
-    /// be folded into the file while it lasts.
+    /// Begins a transaction in which every question is answered from the same commit. Keep it short: the log
+    /// cannot be folded into the file while it lasts.
     pub(crate) async fn begin_read(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
         Ok(self.readers.begin().await?)
     }
@@ -193,7 +194,8 @@ impl Store {
 
 fn writing(path: &Path, options: &StoreOptions) -> SqliteConnectOptions {
     let synchronous = match options.durability {
-        // In WAL mode FULL waits for the log at each commit; NORMAL only when the log is folded into the file.
+        // In WAL mode FULL waits for the log at each commit; NORMAL only when the log is folded into the
+        // file.
         Durability::PowerLoss => SqliteSynchronous::Full,
         Durability::ProcessEnd => SqliteSynchronous::Normal,
     };

@@ -10,7 +10,8 @@ pub struct Page<T, K> {
 }
 
 impl<T, K> Page<T, K> {
-    /// A page of rows of which one more was asked for than the page has: whether it came says whether this is the last.
+    /// A page of rows of which one more was asked for than the page has: whether it came says whether this is
+    /// the last.
     pub(crate) fn of(mut items: Vec<T>, page_size: u32, key: impl FnOnce(&T) -> K) -> Self {
         let has_more = items.len() > page_size as usize;
         items.truncate(page_size as usize);

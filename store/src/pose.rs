@@ -9,7 +9,8 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 use std::collections::BTreeMap;
 
-/// A stored quaternion's length may differ from one by this: far more than rounding in any product of poses makes.
+/// A stored quaternion's length may differ from one by this: far more than rounding in any product of poses
+/// makes.
 const MAX_NORM_ERROR: f64 = 1e-6;
 
 /// A pose in the order of the columns: `qx, qy, qz, qw, tx, ty, tz`.
@@ -82,8 +83,8 @@ impl PoseBook {
         Ok(Self { keyframes, removed })
     }
 
-    /// The submap and the pose, `camera_from_world`, of a camera that hangs on a key frame that is or was in the map;
-    /// `None` if that hangs on nothing.
+    /// The submap and the pose, `camera_from_world`, of a camera that hangs on a key frame that is or was in
+    /// the map; `None` if that hangs on nothing.
     pub fn locate(&self, reference: KeyframeId, camera_from_reference: &Pose) -> Option<(SubmapId, Pose)> {
         let mut camera_from_current = *camera_from_reference;
         let mut current = reference;

@@ -14,8 +14,8 @@ use sqlx::{AssertSqlSafe, Sqlite, SqliteConnection, Transaction};
 /// Points or key frames read at a time: a statement takes about a millisecond.
 const ROWS_PER_STEP: usize = 512;
 
-/// A session as of one commit, read in steps. While it lives the log cannot be folded into the file, so read it to the
-/// end without waiting for anything slow, such as a client.
+/// A session as of one commit, read in steps. While it lives the log cannot be folded into the file, so read
+/// it to the end without waiting for anything slow, such as a client.
 pub struct MapSnapshot {
     transaction: Transaction<'static, Sqlite>,
     session: i64,

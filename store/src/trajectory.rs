@@ -63,15 +63,16 @@ pub struct TrajectoryPose {
     pub world_from_camera: Pose,
 }
 
-/// Frames read at a time: no reader holds the database's log between steps, however slowly the stream is drunk.
+/// Frames read at a time: no reader holds the database's log between steps, however slowly the stream is
+/// drunk.
 const FRAMES_PER_STEP: i64 = 512;
 
 impl Store {
     /// The poses of a session in the order of their time, as the map stands now.
     ///
-    /// Poses of key frames are read at once, so that the whole trajectory belongs to one state of the map; frames are
-    /// read as the stream goes on, up to the last one there is now. Frames whose key frames were dropped with a whole
-    /// submap have no place any more and are left out.
+    /// Poses of key frames are read at once, so that the whole trajectory belongs to one state of the map;
+    /// frames are read as the stream goes on, up to the last one there is now. Frames whose key frames were
+    /// dropped with a whole submap have no place any more and are left out.
     ///
     /// # Errors
     /// [`StoreError::SessionNotFound`], before the stream begins.
@@ -132,8 +133,8 @@ const SELECT_FRAMES: &str = "SELECT sequence, timestamp_ns, state, backfilled, r
      WHERE session = ?1 AND sequence >= ?2 AND sequence <= ?3 AND reference IS NOT NULL \
      AND timestamp_ns BETWEEN ?4 AND ?5 ORDER BY sequence LIMIT ?6";
 
-/// Key frames are few: those of the whole session are no more than a few steps' worth of frames. Times and numbers of
-/// frames rise together, so one order is the other. State 2 is tracked.
+/// Key frames are few: those of the whole session are no more than a few steps' worth of frames. Times and
+/// numbers of frames rise together, so one order is the other. State 2 is tracked.
 const SELECT_KEYFRAMES: &str = "SELECT sequence, timestamp_ns, 2, 0, id, qx, qy, qz, qw, tx, ty, tz \
      FROM keyframes WHERE session = ?1 AND sequence >= ?2 AND sequence <= ?3 \
      AND timestamp_ns BETWEEN ?4 AND ?5 ORDER BY sequence LIMIT ?6";

@@ -4,8 +4,8 @@
 //! cargo run --release -p synthetic --example render -- --preset room-rich --seed 1 --frames 10 --out DIR
 //! ```
 //! Then renders the frames twice more and reports the time; without `--out`, only that.
-//! `--step N` takes every N-th frame of the path, `--fps N` another number of frames a second, `--laps N` goes around N
-//! times where the path is closed, `--threads N` shares each frame between threads.
+//! `--step N` takes every N-th frame of the path, `--fps N` another number of frames a second, `--laps N`
+//! goes around N times where the path is closed, `--threads N` shares each frame between threads.
 
 use std::process::ExitCode;
 use std::time::Instant;

@@ -1,11 +1,13 @@
-//! Seeded worlds with exact ground truth, smooth camera paths through them, and a renderer of image sequences.
+//! Seeded worlds with exact ground truth, smooth camera paths through them, and a renderer of image
+//! sequences.
 //!
 //! Three types matter most: a [`World`] of textured convex faces with its true line segments and vanishing
-//! directions, a [`Path`] that gives `camera_from_world` at any time, and a [`Sequence`] that renders one seen
-//! along the other. [`PointCloudWorld`] is a world without images, for tests of the back end.
+//! directions, a [`Path`] that gives `camera_from_world` at any time, and a [`Sequence`] that renders one
+//! seen along the other. [`PointCloudWorld`] is a world without images, for tests of the back end.
 //!
-//! World axes: `x` and `y` horizontal, `z` up. Lengths are map units, chosen so that a room has about the size
-//! it would have in metres. Everything is a function of its seed: the same configuration gives the same bytes.
+//! World axes: `x` and `y` horizontal, `z` up. Lengths are map units, chosen so that a room has about the
+//! size it would have in metres. Everything is a function of its seed: the same configuration gives the same
+//! bytes.
 //!
 //! ```
 //! use synthetic::{Preset, Sequence};

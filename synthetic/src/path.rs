@@ -2,8 +2,8 @@
 //!
 //! A path is drawn as dense samples of position and heading, timed so that no limit is exceeded, resampled at
 //! equal times and used as the control points of a cubic B-spline. The spline is twice continuously
-//! differentiable, and its derivatives are averages of the differences of its control points, so that it keeps
-//! the limits.
+//! differentiable, and its derivatives are averages of the differences of its control points, so that it
+//! keeps the limits.
 
 use std::f64::consts::TAU;
 

@@ -30,8 +30,9 @@ pub enum Preset {
     CorridorStraight,
     /// A plain corridor around a block, 48 units long, walked one and a quarter times.
     CorridorRing,
-    /// A walk of about 50 units along three sides of a block of plain corridors, without coming back, with a wide lens,
-    /// a noisy sensor and a changing exposure: the walls that were in view are gone after each corner.
+    /// A walk of about 50 units along three sides of a block of plain corridors, without coming back, with a
+    /// wide lens, a noisy sensor and a changing exposure: the walls that were in view are gone after each
+    /// corner.
     CorridorCorners,
     /// Through four rooms and back into the first two.
     FourRooms,
@@ -120,8 +121,9 @@ pub struct SequenceConfig {
 }
 
 impl SequenceConfig {
-    /// The configuration of a preset, to be changed before [`Sequence::new`]. All presets have a pinhole camera
-    /// of 640 x 480 pixels at 20 frames a second, 70 degrees wide; 90 where there are corners to walk around.
+    /// The configuration of a preset, to be changed before [`Sequence::new`]. All presets have a pinhole
+    /// camera of 640 x 480 pixels at 20 frames a second, 70 degrees wide; 90 where there are corners to walk
+    /// around.
     pub fn preset(preset: Preset, seed: u64) -> Self {
         let (world, kind, limits) = preset_parts(preset, seed);
         // Around a corner a lens of 70 degrees sees nothing but a plain wall.

@@ -179,8 +179,8 @@ fn segments_belong_to_the_families_of_their_worlds() {
     }
 }
 
-/// Number of cells, of 8 x 6, that contain a pixel whose gradients are strong in two directions, and number of
-/// such pixels.
+/// Number of cells, of 8 x 6, that contain a pixel whose gradients are strong in two directions, and number
+/// of such pixels.
 fn corners(sequence: &Sequence, i: usize) -> (usize, usize) {
     let image = sequence.frame(i).image;
     let at = |x: u32, y: u32| f64::from(image.get(x, y));

@@ -40,8 +40,9 @@ pub fn largest_submap(map: &Map) -> Option<SubmapId> {
     sizes.into_iter().max_by_key(|(_, size)| *size).map(|(submap, _)| submap)
 }
 
-/// Takes the map's largest submap to the true world: a similarity over the key frames' positions, whose numbers are
-/// those of the sequence's frames. `None` if there are too few of them or they lie on a straight line.
+/// Takes the map's largest submap to the true world: a similarity over the key frames' positions, whose
+/// numbers are those of the sequence's frames. `None` if there are too few of them or they lie on a straight
+/// line.
 pub fn truth_from_map(map: &Map, sequence: &Sequence) -> Option<Similarity> {
     let submap = largest_submap(map)?;
     let keyframes = || map.keyframes().filter(|keyframe| keyframe.submap == submap);

@@ -12,8 +12,8 @@ pub struct LineError {
     pub distance: f64,
 }
 
-/// The error of a line, given by its ends in the true world, against the nearest edge that runs within 10 degrees of it;
-/// `None` if there is no such edge.
+/// The error of a line, given by its ends in the true world, against the nearest edge that runs within 10
+/// degrees of it; `None` if there is no such edge.
 pub fn line_error(ends: &[Vector3<f64>; 2], world: &World) -> Option<LineError> {
     const MAX_ANGLE_DEG: f64 = 10.0;
     let direction = (ends[1] - ends[0]).normalize();

@@ -1,12 +1,15 @@
 //! What tests share: maps made by hand, rendered sequences through the engine, and errors against the truth.
 //!
-//! * [`world`]: seeded maps made by hand, and updates between them; with the feature `store`, databases of them.
-//! * [`Session`]: frames through the engine, every map on the way checked, the trajectory kept as a store would.
+//! * [`world`]: seeded maps made by hand, and updates between them; with the feature `store`, databases of
+//!   them.
+//! * [`Session`]: frames through the engine, every map on the way checked, the trajectory kept as a store
+//!   would.
 //! * [`evaluate`]: the error of poses against true ones after alignment, by frame number.
 //! * [`gray_image`]: rendered images as the engine takes them; [`line_error`]: lines against true edges.
 //!
-//! Only a dev-dependency of other crates, and not of unit tests of `slam`, `geometry` and `vision`: those would see two
-//! versions of their types. Its programs, `track_synthetic` and `track_folder`, are the engine's laboratory.
+//! Only a dev-dependency of other crates, and not of unit tests of `slam`, `geometry` and `vision`: those
+//! would see two versions of their types. Its programs, `track_synthetic` and `track_folder`, are the
+//! engine's laboratory.
 //!
 //! ```
 //! use synthetic::{Preset, Sequence};

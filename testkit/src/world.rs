@@ -102,7 +102,8 @@ pub struct Size {
 /// Enough for every kind of landmark.
 pub const SMALL: Size = Size { n_keyframes: 6, n_keypoints: 80, n_points: 60 };
 
-/// A consistent map: each point is seen by two to four neighbouring key frames, which hang on one another in a chain.
+/// A consistent map: each point is seen by two to four neighbouring key frames, which hang on one another in
+/// a chain.
 pub fn parts(seed: u64, size: Size) -> MapParts {
     let mut numbers = Numbers(seed);
     let keyframes = (1..=size.n_keyframes).map(|id| {

@@ -1,7 +1,8 @@
-//! A camera that turns up elsewhere in a place known from a real recording, also after a restart of the server.
+//! A camera that turns up elsewhere in a place known from a real recording, also after a restart of the
+//! server.
 //!
-//! Needs the recording 7scenes_redkitchen (frames 0-599 walk through a kitchen, 600-999 come back to it) in the folder
-//! that `MONOSLAM_DATA` names.
+//! Needs the recording 7scenes_redkitchen (frames 0-599 walk through a kitchen, 600-999 come back to it) in
+//! the folder that `MONOSLAM_DATA` names.
 
 use geometry::Pose;
 use geometry::nalgebra::{UnitQuaternion, Vector3};

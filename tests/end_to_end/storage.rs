@@ -31,7 +31,8 @@ async fn a_database_of_a_newer_version_is_refused_and_left_alone() {
 /// Frames sent over one stream.
 const N_PER_STREAM: u64 = 500;
 
-/// Sends frames from `first` on and reads their answers; what was promised to be saved and how the stream ended.
+/// Sends frames from `first` on and reads their answers; what was promised to be saved and how the stream
+/// ended.
 async fn stream_frames(
     mut stream: FrameStream,
     first: u64,

@@ -50,7 +50,8 @@ async fn a_stream_that_ends_well_can_be_followed_at_once() {
     }
 }
 
-/// Passes bytes between a client and the server until it has passed so many towards the server, then hangs up on both.
+/// Passes bytes between a client and the server until it has passed so many towards the server, then hangs up
+/// on both.
 async fn hang_up_after(server: std::net::SocketAddr, n_bytes: usize) -> std::net::SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let addr = listener.local_addr().unwrap();

@@ -52,8 +52,8 @@ fn crc32(bytes: &[u8]) -> u32 {
     !remainder
 }
 
-/// Frames of the ready-made sequence to one that is sent: ten a second instead of twenty, to see more of the room in
-/// fewer frames.
+/// Frames of the ready-made sequence to one that is sent: ten a second instead of twenty, to see more of the
+/// room in fewer frames.
 const FRAME_STEP: usize = 2;
 
 /// A room full of texture that a small camera goes around in: quick to render and easy to track.

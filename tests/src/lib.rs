@@ -1,6 +1,7 @@
 //! What end-to-end tests share: servers on free ports, a client that speaks the plain contract, and images.
 //!
-//! The tests use the generated client and not the `client` crate, so that they see exactly what is on the wire.
+//! The tests use the generated client and not the `client` crate, so that they see exactly what is on the
+//! wire.
 
 mod images;
 mod stream;

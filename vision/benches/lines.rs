@@ -18,7 +18,8 @@ fn recorded() -> Vec<(&'static str, GrayImage)> {
     names.into_iter().filter_map(|(name, number)| Some((name, read(number)?))).collect()
 }
 
-/// Half planes of random brightness, each over a part of the image: edges in all directions, under a little noise.
+/// Half planes of random brightness, each over a part of the image: edges in all directions, under a little
+/// noise.
 fn synthesised(n_edges: u32) -> GrayImage {
     let mut state = 1u64;
     let mut below = |n: u32| {

@@ -8,8 +8,8 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vision::vanishing::{SegmentPlane, VanishingConfig, VanishingEstimator};
 
-/// 40 segments along each of three orthogonal directions, which are returned as well, and 30 others; 1 pixel of noise
-/// at a focal length of 458 pixels.
+/// 40 segments along each of three orthogonal directions, which are returned as well, and 30 others; 1 pixel
+/// of noise at a focal length of 458 pixels.
 fn scene() -> (Vec<Vector3<f64>>, Vec<SegmentPlane>) {
     let sigma = 1.0 / 458.0;
     let mut rng = ChaCha8Rng::seed_from_u64(1);

@@ -1,5 +1,5 @@
-//! From the bytes of a client to a grey image. The bytes are not trusted: sizes are checked before anything is decoded
-//! or allocated, and whatever is wrong comes back as a [`DecodeError`].
+//! From the bytes of a client to a grey image. The bytes are not trusted: sizes are checked before anything
+//! is decoded or allocated, and whatever is wrong comes back as a [`DecodeError`].
 
 mod convert;
 mod jpeg;

@@ -31,8 +31,8 @@ const N_ROWS: usize = 48;
 
 /// Positions (and octaves) in a 64 x 48 grid of cells, stored cell after cell.
 ///
-/// Positions outside the bounds are kept in the nearest border cell and found like all others; positions that are not
-/// finite are left out.
+/// Positions outside the bounds are kept in the nearest border cell and found like all others; positions that
+/// are not finite are left out.
 #[derive(Clone, Debug)]
 pub struct KeypointGrid {
     bounds: GridBounds,
@@ -108,8 +108,8 @@ impl KeypointGrid {
         self.entries.is_empty()
     }
 
-    /// Puts into `out` (cleared first) the indices of all positions with `|dx| <= radius` and `|dy| <= radius` whose
-    /// octave is in `octaves`, in a fixed order. A window that is not finite finds nothing.
+    /// Puts into `out` (cleared first) the indices of all positions with `|dx| <= radius` and `|dy| <=
+    /// radius` whose octave is in `octaves`, in a fixed order. A window that is not finite finds nothing.
     pub fn query_window(&self, x: f32, y: f32, radius: f32, octaves: RangeInclusive<u8>, out: &mut Vec<u32>) {
         out.clear();
         self.for_each_in_window(x, y, radius, octaves, |idx| out.push(idx));

@@ -122,7 +122,8 @@ impl GrayImage {
 pub struct ImageStatistics {
     /// Mean grey level, 0 to 255; 0 for an empty image.
     pub mean: f64,
-    /// Mean of `(I(x+1,y) - I(x,y))^2 + (I(x,y+1) - I(x,y))^2`, squared grey levels: falls when the image is blurred.
+    /// Mean of `(I(x+1,y) - I(x,y))^2 + (I(x,y+1) - I(x,y))^2`, squared grey levels: falls when the image is
+    /// blurred.
     pub gradient_energy: f64,
 }
 

@@ -1,4 +1,4 @@
-//! Matching descriptors: in a list, in a window (guided matching), or all against all (brute force), by
+//! Descriptor matching: in a list, in a window (guided matching), or all against all (brute force), by
 //! Hamming distance and the ratio test [Lowe 2004].
 
 use crate::{Descriptor, Features, KeypointGrid};
@@ -64,7 +64,8 @@ pub struct MatchConfig {
     pub max_distance: u32,
     /// The best must be below this share of the second best. Default 0.9.
     pub ratio: f32,
-    /// Keep only matches whose change of orientation is among the common ones ([`RotationConsistency`]). Default true.
+    /// Keep only matches whose change of orientation is among the common ones ([`RotationConsistency`]).
+    /// Default true.
     pub check_rotation: bool,
 }
 
@@ -76,9 +77,10 @@ impl Default for MatchConfig {
 
 /// Matches within a window around where each point was, at the finest level only, for initialisation.
 ///
-/// `expected` holds, for each keypoint of `first`, where it is looked for in `second` (usually where it was, or where
-/// its match of the frame before was); `second_grid` is built over `second`. Matches are mutual and in the order of
-/// `first`. Points of `first` above octave 0 and points with an `expected` that is not finite find no match.
+/// `expected` holds, for each keypoint of `first`, where it is looked for in `second` (usually where it was,
+/// or where its match of the frame before was); `second_grid` is built over `second`. Matches are mutual and
+/// in the order of `first`. Points of `first` above octave 0 and points with an `expected` that is not finite
+/// find no match.
 pub fn match_in_window(
     first: &Features,
     expected: &[(f32, f32)],

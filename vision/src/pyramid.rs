@@ -3,7 +3,8 @@
 use crate::GrayImage;
 use crate::scale::BilinearResizer;
 
-/// An image at falling resolutions. Buffers are kept from frame to frame, so a steady stream allocates nothing.
+/// An image at falling resolutions. Buffers are kept from frame to frame, so a steady stream allocates
+/// nothing.
 #[derive(Clone, Debug, Default)]
 pub struct Pyramid {
     levels: Vec<GrayImage>,
@@ -12,8 +13,8 @@ pub struct Pyramid {
 }
 
 impl Pyramid {
-    /// A pyramid of `n_levels` (at least 1) levels, each `scale_factor` (above 1) smaller than the one before it.
-    /// It holds no image yet: see [`Pyramid::build`].
+    /// A pyramid of `n_levels` (at least 1) levels, each `scale_factor` (above 1) smaller than the one before
+    /// it. It holds no image yet: see [`Pyramid::build`].
     pub fn new(n_levels: usize, scale_factor: f32) -> Self {
         let n_levels = n_levels.max(1);
         Self {

@@ -6,7 +6,8 @@ mod bilinear;
 
 pub use bilinear::BilinearResizer;
 
-/// Shrinks (or stretches) `image` to `new_width` x `new_height` by averaging over the area each new pixel covers.
+/// Shrinks (or stretches) `image` to `new_width` x `new_height` by averaging over the area each new pixel
+/// covers.
 ///
 /// Fine detail is averaged away rather than aliased. An empty image, or an empty size, gives a black image.
 pub fn resize_area(image: &GrayImage, new_width: u32, new_height: u32) -> GrayImage {

@@ -21,7 +21,8 @@ pub struct EvaluateArgs {
     /// Poses further apart in time than this are not of the same image, seconds
     #[arg(long, value_name = "S", default_value = "0.01", value_parser = seconds_ns)]
     max_dt: i64,
-    /// List of the recording's images, such as rgb.txt, to measure coverage against [default: the ground truth]
+    /// List of the recording's images, such as rgb.txt, to measure coverage against [default: the ground
+    /// truth]
     #[arg(long, value_name = "FILE")]
     frames: Option<PathBuf>,
     /// Print one JSON object

@@ -54,13 +54,14 @@ impl LocalServer {
 pub struct LocalRun<'a> {
     /// The camera that took them.
     pub camera: CameraParameters,
-    /// What the session runs with.
+    /// The session's options.
     pub options: v1::SessionOptions,
     /// The frames.
     pub source: Arc<dyn FrameSource>,
     /// Their truth, if it is known.
     pub truth: Option<&'a Trajectory>,
-    /// Whether they come as recorded and the server drops those it has no time for, or as fast as it takes them.
+    /// Whether they come as recorded and the server drops those it has no time for, or as fast as it takes
+    /// them.
     pub is_realtime: bool,
 }
 

@@ -61,7 +61,7 @@ enum Policy {
     Realtime,
 }
 
-/// What a new session runs with.
+/// Options of a new session.
 #[derive(Clone, Debug, Default, Args)]
 pub struct OptionArgs {
     /// Do not use lines

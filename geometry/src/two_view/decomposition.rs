@@ -4,8 +4,8 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use crate::Pose;
 
-/// The four motions `b_from_a`, with translations of unit length, of an essential matrix: two rotations, each with
-/// the translation in both signs. At most one of them puts the points in front of both cameras.
+/// The four motions `b_from_a`, with translations of unit length, of an essential matrix: two rotations, each
+/// with the translation in both signs. At most one of them puts the points in front of both cameras.
 ///
 /// The matrix need not be exactly essential (two equal singular values and a zero); the nearest one is taken.
 /// `None` if it is zero or not finite.
@@ -36,12 +36,12 @@ pub fn decompose_essential(essential: &Matrix3<f64>) -> Option<[Pose; 4]> {
 }
 
 /// The motions `b_from_a` and unit plane normals (in frame a) a homography between *normalised* coordinates
-/// (`K⁻¹` times pixels) can stand for: `H ∼ R + t nᵀ` for the plane `n · X = 1`, so that translations are in units
-/// of the distance from camera a to the plane.
+/// (`K⁻¹` times pixels) can stand for: `H ∼ R + t nᵀ` for the plane `n · X = 1`, so that translations are in
+/// units of the distance from camera a to the plane.
 ///
-/// Four in general, in two pairs that differ by the signs of `t` and `n` [Ma et al. 2004, section 5.3.3]; both
-/// cameras are taken to be on the same side of the plane. One, with zero translation and a normal without
-/// meaning, if `H` is a rotation. None if `H` is singular or not finite.
+/// Four in general, in two pairs that differ by the signs of `t` and `n` [Ma et al. 2004, section 5.3.3];
+/// both cameras are taken to be on the same side of the plane. One, with zero translation and a normal
+/// without meaning, if `H` is a rotation. None if `H` is singular or not finite.
 pub fn decompose_homography(homography: &Matrix3<f64>) -> Vec<(Pose, Vector3<f64>)> {
     /// `H` is a rotation if its squared singular values differ from one by less than this.
     const ROTATION_TOLERANCE: f64 = 1e-10;
@@ -58,8 +58,8 @@ pub fn decompose_homography(homography: &Matrix3<f64>) -> Vec<(Pose, Vector3<f64
     if middle <= 0.0 || determinant == 0.0 {
         return Vec::new();
     }
-    // Of a true R + t nᵀ the middle singular value is one, and the determinant is the ratio of the two cameras'
-    // distances from the plane, which is positive.
+    // Of a true R + t nᵀ the middle singular value is one, and the determinant is the ratio of the two
+    // cameras' distances from the plane, which is positive.
     h *= determinant.signum() / middle.sqrt();
     let [largest, smallest] = [order[0], order[2]].map(|i| eigen.eigenvalues[i] / middle);
     let [v1, v2, v3] = order.map(|i| eigen.eigenvectors.column(i).into_owned());

@@ -4,8 +4,8 @@ use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen, Vector3};
 
 use crate::polynomial;
 
-/// The real essential matrices (up to ten, of norm √2) of five pairs of unit bearings, exactly; of more pairs,
-/// in the least-squares sense.
+/// The real essential matrices (up to ten, of norm √2) of five pairs of unit bearings, exactly; of more
+/// pairs, in the least-squares sense.
 ///
 /// Empty if the slices differ in length or are shorter than five, or anything is not finite.
 pub fn essential_five_point(bearings_a: &[Vector3<f64>], bearings_b: &[Vector3<f64>]) -> Vec<Matrix3<f64>> {
@@ -191,7 +191,8 @@ fn constraints(basis: &[Matrix3<f64>; 4]) -> SMatrix<f64, 10, 20> {
     equations
 }
 
-/// Gauss-Jordan with row pivoting: the right half once the left half is the identity. `None` if that is singular.
+/// Gauss-Jordan with row pivoting: the right half once the left half is the identity. `None` if that is
+/// singular.
 fn eliminate(mut m: SMatrix<f64, 10, 20>) -> Option<SMatrix<f64, 10, 10>> {
     for column in 0..10 {
         let pivot = (column..10).max_by(|i, j| m[(*i, column)].abs().total_cmp(&m[(*j, column)].abs()))?;

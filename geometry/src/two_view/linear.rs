@@ -4,8 +4,9 @@ use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen, Vector2};
 
 /// The fundamental matrix, of rank two and unit norm, of eight or more pairs of points.
 ///
-/// `None` if the slices differ in length or are shorter than eight, all points of one image coincide, or anything
-/// is not finite. Degenerate scenes (planes) are not detected: any matrix of the family that fits is returned.
+/// `None` if the slices differ in length or are shorter than eight, all points of one image coincide, or
+/// anything is not finite. Degenerate scenes (planes) are not detected: any matrix of the family that fits is
+/// returned.
 pub fn fundamental_eight_point(a: &[Vector2<f64>], b: &[Vector2<f64>]) -> Option<Matrix3<f64>> {
     if a.len() != b.len() || a.len() < 8 {
         return None;
@@ -26,8 +27,8 @@ pub fn fundamental_eight_point(a: &[Vector2<f64>], b: &[Vector2<f64>]) -> Option
 
 /// The homography, of unit norm, of four or more pairs of points.
 ///
-/// `None` if the slices differ in length or are shorter than four, all points of one image coincide, the result is
-/// singular (three of four points on a line), or anything is not finite.
+/// `None` if the slices differ in length or are shorter than four, all points of one image coincide, the
+/// result is singular (three of four points on a line), or anything is not finite.
 pub fn homography_four_point(a: &[Vector2<f64>], b: &[Vector2<f64>]) -> Option<Matrix3<f64>> {
     /// Least determinant of the homography between normalised points, at unit norm.
     const MIN_DETERMINANT: f64 = 1e-8;

@@ -57,7 +57,8 @@ pub fn numeric_jacobian<const M: usize, const N: usize>(
     jacobian
 }
 
-/// Asserts that two matrices differ by at most `tolerance` relative to the second's largest entry (at least one).
+/// Asserts that two matrices differ by at most `tolerance` relative to the second's largest entry (at least
+/// one).
 #[track_caller]
 pub fn assert_close<const M: usize, const N: usize>(
     found: &SMatrix<f64, M, N>,

@@ -51,8 +51,8 @@ impl Factor for PointReprojection {
     }
 }
 
-/// Distance of a segment's endpoints to a projected line: `r = f [l·p, l·q] / (‖l₁₂‖ sigma)`, `l` the moment of
-/// the line in the camera, `p`, `q` the endpoints on the plane `z = 1`.
+/// Distance of a segment's endpoints to a projected line: `r = f [l·p, l·q] / (‖l₁₂‖ sigma)`, `l` the moment
+/// of the line in the camera, `p`, `q` the endpoints on the plane `z = 1`.
 #[derive(Clone, Debug)]
 pub struct LineReprojection {
     pub endpoints: [Vector3<f64>; 2],
@@ -91,8 +91,8 @@ impl Factor for LineReprojection {
     }
 }
 
-/// Angle of a vanishing direction out of a segment's plane: `r = m · (R d) / sigma`, `m` the plane's normal in
-/// the camera.
+/// Angle of a vanishing direction out of a segment's plane: `r = m · (R d) / sigma`, `m` the plane's normal
+/// in the camera.
 #[derive(Clone, Debug)]
 pub struct SegmentDirection {
     pub normal: Vector3<f64>,

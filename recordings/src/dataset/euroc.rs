@@ -1,5 +1,5 @@
-//! EuRoC, or ASL [Burri et al., IJRR 2016]: `mav0/cam0/{data.csv, sensor.yaml, data/}` and the true poses of the
-//! body in `mav0/state_groundtruth_estimate0/data.csv`. TUM-VI keeps them in `mav0/mocap0/data.csv`.
+//! EuRoC, or ASL [Burri et al., IJRR 2016]: `mav0/cam0/{data.csv, sensor.yaml, data/}` and the true poses of
+//! the body in `mav0/state_groundtruth_estimate0/data.csv`. TUM-VI keeps them in `mav0/mocap0/data.csv`.
 
 use std::path::{Path, PathBuf};
 

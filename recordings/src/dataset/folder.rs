@@ -1,7 +1,7 @@
 //! `rgb.txt` with `calib.json`, and `groundtruth.txt` if there is one.
 //!
-//! `calib.json` is one object: `model` (`pinhole`, `radtan`, `kannala-brandt`, `fov`), `width`, `height`, `fx`,
-//! `fy`, `cx`, `cy`, and the coefficients as `dist`.
+//! `calib.json` is one object: `model` (`pinhole`, `radtan`, `kannala-brandt`, `fov`), `width`, `height`,
+//! `fx`, `fy`, `cx`, `cy`, and the coefficients as `dist`.
 
 use std::path::Path;
 

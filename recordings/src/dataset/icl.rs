@@ -2,8 +2,8 @@
 //! (`number depth/number.png number rgb/number.png`) and the true poses in a file `*.gt.freiburg`.
 //!
 //! The scenes were rendered by a left-handed program: its camera has `fy = -480`, its `y` axis up. We use
-//! `fy = 480`, `y` down, and mirror the true poses with it: with `S = diag(1, -1, 1)`, a pose `(R, t)` becomes
-//! `(S R S, S t)`. An unmirrored ground truth cannot be matched by any proper rotation.
+//! `fy = 480`, `y` down, and mirror the true poses with it: with `S = diag(1, -1, 1)`, a pose `(R, t)`
+//! becomes `(S R S, S t)`. An unmirrored ground truth cannot be matched by any proper rotation.
 
 use std::path::{Path, PathBuf};
 

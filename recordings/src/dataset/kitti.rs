@@ -1,5 +1,5 @@
-//! KITTI odometry [Geiger et al., CVPR 2012]: `image_0/000000.png…`, `times.txt`, `calib.txt`, and the true poses
-//! in `poses.txt` or, as published, in `../../poses/NN.txt` for the sequence in the folder `NN`.
+//! KITTI odometry [Geiger et al., CVPR 2012]: `image_0/000000.png…`, `times.txt`, `calib.txt`, and the true
+//! poses in `poses.txt` or, as published, in `../../poses/NN.txt` for the sequence in the folder `NN`.
 
 use std::path::{Path, PathBuf};
 

@@ -47,7 +47,8 @@ impl fmt::Display for Playback {
 }
 
 impl Recording {
-    /// The recording as it would be if it had been made so. Times backwards count from the same first to the same last one.
+    /// The recording as it would be if it had been made so. Times backwards count from the same first to the
+    /// same last one.
     ///
     /// # Errors
     /// A [`FileError`] if no frame is left.

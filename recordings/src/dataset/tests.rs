@@ -79,7 +79,8 @@ fn a_recording_is_played_otherwise() {
     let cut = played(Playback { start: 1, end: Some(2), ..Playback::default() }).unwrap();
     assert_eq!(names(&cut), ["b"]);
 
-    // The first image is seen at 1.000000001, its truth is for a nanosecond before: both move to the other end.
+    // The first image is seen at 1.000000001, its truth is for a nanosecond before: both move to the other
+    // end.
     let back = played(Playback { backwards: true, ..Playback::default() }).unwrap();
     assert_eq!(names(&back), ["c", "b", "a"]);
     assert_eq!(timestamps(&back), [1_000_000_001, 1_100_000_001, 1_200_000_000]);

@@ -1,4 +1,4 @@
-//! What is free in an estimate and taken out before it is compared.
+//! Alignment (Umeyama): what is free in an estimate and taken out before it is compared.
 
 use std::str::FromStr;
 

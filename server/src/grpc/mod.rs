@@ -25,10 +25,12 @@ use tonic::transport::server::TcpIncoming;
 use tonic::{Request, Response, Status};
 use tower_http::set_header::SetResponseHeaderLayer;
 
-/// A client that does not answer a ping for this long is gone, so that a phone that lost its network frees its session.
+/// A client that does not answer a ping for this long is gone, so that a phone that lost its network frees
+/// its session.
 const KEEPALIVE: (Duration, Duration) = (Duration::from_secs(15), Duration::from_secs(15));
 
-/// Every answer says on which port the same host serves HTTP, so that a client needs to know one address only.
+/// Every answer says on which port the same host serves HTTP, so that a client needs to know one address
+/// only.
 const HTTP_PORT_HEADER: HeaderName = HeaderName::from_static("x-monoslam-http-port");
 
 /// Serves gRPC until `closing`, then lets what is under way end.

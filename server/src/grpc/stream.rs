@@ -13,8 +13,8 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt};
 use tonic::{Code, Status, Streaming};
 
-/// Answers that wait for the client to read them. When there are as many, the session waits for the client, or, in a
-/// REALTIME stream, drops frames.
+/// Answers that wait for the client to read them. When there are as many, the session waits for the client,
+/// or, in a REALTIME stream, drops frames.
 const MAX_WAITING_ANSWERS: usize = 16;
 
 /// The server's side of a stream.
@@ -33,7 +33,8 @@ pub fn start(service: Arc<Service>, requests: Streaming<v1::StreamFramesRequest>
 async fn serve(service: Arc<Service>, mut requests: Streaming<v1::StreamFramesRequest>, replies: Replies) {
     match open(&service, &mut requests, &replies).await {
         Ok(queue) => {
-            // From here on the session alone holds the answers' channel, and its end is the end of the stream.
+            // From here on the session alone holds the answers' channel, and its end is the end of the
+            // stream.
             drop(replies);
             let ending = tokio::select! {
                 ending = read_frames(&mut requests, &queue) => ending,

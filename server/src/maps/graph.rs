@@ -1,4 +1,4 @@
-//! What ties key frames to one another.
+//! Graphs of keyframes: covisibility, primitives, essential graph.
 
 use super::MapQueries;
 use crate::error::ApiError;
@@ -22,10 +22,11 @@ pub enum GraphKind {
     /// Key frames that see the same points and lines.
     #[default]
     Covisibility,
-    /// Key frames that show the same global primitive, each pair with whether the two see anything in common besides.
+    /// Key frames that show the same global primitive, each pair with whether the two see anything in common
+    /// besides.
     Primitives,
-    /// What loops are closed on: the spanning tree, pairs of key frames that share many landmarks, and pairs far apart in
-    /// time that share some since a loop was closed between them.
+    /// What loops are closed on: the spanning tree, pairs of key frames that share many landmarks, and pairs
+    /// far apart in time that share some since a loop was closed between them.
     Essential,
 }
 
@@ -36,7 +37,8 @@ pub struct GraphQuery {
     pub kind: GraphKind,
     /// Ties of this key frame only.
     pub keyframe_id: Option<u64>,
-    /// Ties between key frames that share at least so many landmarks only. The spanning tree is whole all the same.
+    /// Ties between key frames that share at least so many landmarks only. The spanning tree is whole all the
+    /// same.
     pub min_weight: u32,
 }
 
@@ -71,7 +73,8 @@ pub struct Edge {
     /// Primitives: which one both show.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub primitive_id: Option<u64>,
-    /// Primitives: whether both see anything in common. Ties without overlap are those no other landmark makes.
+    /// Primitives: whether both see anything in common. Ties without overlap are those no other landmark
+    /// makes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub overlap: Option<bool>,
     /// Essential: whether the tie is one of the spanning tree.
@@ -85,8 +88,8 @@ pub struct Graph {
     pub scale: Scale,
     /// The key frames in the order of their ids.
     pub nodes: Vec<Node>,
-    /// The ties; of the primitives' graph in the order of the primitives' ids, otherwise of the key frames'. There can be
-    /// very many, so they are made one by one.
+    /// The ties; of the primitives' graph in the order of the primitives' ids, otherwise of the key frames'.
+    /// There can be very many, so they are made one by one.
     pub edges: Box<dyn Iterator<Item = Edge> + Send>,
 }
 

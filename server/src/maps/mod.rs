@@ -1,9 +1,10 @@
 //! What can be asked of a session's map, once for both interfaces: what they decode into and encode from.
 //!
-//! Every answer comes from the database, as of a session's last commit, whether the session is in memory or not. Lengths
-//! of questions and answers are what the session's scale says: map units, or metres once somebody has said how long a
-//! unit is. A page is for a person or a viewer; [`Batches`] are the whole answer in pieces, read as fast as the caller
-//! takes them, with nothing held in between but, for a question about a place, the numbers of the candidates.
+//! Every answer comes from the database, as of a session's last commit, whether the session is in memory or
+//! not. Lengths of questions and answers are what the session's scale says: map units, or metres once
+//! somebody has said how long a unit is. A page is for a person or a viewer; [`Batches`] are the whole answer
+//! in pieces, read as fast as the caller takes them, with nothing held in between but, for a question about a
+//! place, the numbers of the candidates.
 
 mod export;
 mod graph;

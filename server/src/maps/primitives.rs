@@ -19,7 +19,8 @@ pub struct Primitive {
     pub submap_id: u32,
     /// Unit vector in the world; it means the same as its negative.
     pub direction: [f64; 3],
-    /// Covariance of the direction, row by row, radians squared. Of rank two: nothing is uncertain along the direction.
+    /// Covariance of the direction, row by row, radians squared. Of rank two: nothing is uncertain along the
+    /// direction.
     pub covariance: [[f64; 3]; 3],
     /// Standard deviation of the direction where it is least certain, degrees.
     pub std_deg: f64,

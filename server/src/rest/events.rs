@@ -51,12 +51,12 @@ pub(super) struct CameraCorrection {
     centre_x: f64,
     /// Shift of the principal point downwards, in focal lengths.
     centre_y: f64,
-    /// The map was adjusted to that camera. Otherwise it is more than a calibration can be wrong by: it is used as it was given,
-    /// and should be looked at.
+    /// The map was adjusted to that camera. Otherwise it is more than a calibration can be wrong by: it is
+    /// used as it was given, and should be looked at.
     adopted: bool,
 }
 
-/// The map was put right by a place that was seen again, or because the camera is not as it was given.
+/// The map was corrected: a loop was closed, submaps were merged, or the intrinsics were refined.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(super) struct MapCorrection {
     /// The key frame that shows the place again; `null` if it is about the camera.
@@ -168,9 +168,9 @@ impl From<&MapChange> for MapEvent {
     }
 }
 
-/// What happens in the session from now on, as server-sent events: `session` (the session as it is now, and after its
-/// options or scale were changed), `frame`, `map` and `missed`, each with a JSON object as its data. Ends when the
-/// session is deleted or the server shuts down.
+/// What happens in the session from now on, as server-sent events: `session` (the session as it is now, and
+/// after its options or scale were changed), `frame`, `map` and `missed`, each with a JSON object as its
+/// data. Ends when the session is deleted or the server shuts down.
 #[utoipa::path(get, path = "/v1/sessions/{id}/events", tag = "sessions",
     params(("id", description = "The session's id")), responses(
     (status = 200, description = "The events", content(

@@ -39,7 +39,8 @@ pub(super) struct Wanted {
     kind: GraphKind,
     /// Ties of this key frame only.
     keyframe_id: Option<u64>,
-    /// Ties between key frames that share at least so many landmarks only. The spanning tree is whole all the same.
+    /// Ties between key frames that share at least so many landmarks only. The spanning tree is whole all the
+    /// same.
     min_weight: u32,
 }
 

@@ -60,8 +60,8 @@ impl From<Located> for Location {
     }
 }
 
-/// Locates one image in the session's map, as of its last commit, without changing anything; also while a client
-/// streams into the session. The body is the image file.
+/// Locates one image in the session's map, as of its last commit, without changing anything; also while a
+/// client streams into the session. The body is the image file.
 #[utoipa::path(post, path = "/v1/sessions/{id}/localize", tag = "maps",
     params(("id", description = "The session's id")),
     request_body(content((Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg")), description = "A PNG or JPEG file of the \

@@ -48,14 +48,14 @@ pub(super) struct Wanted {
     /// How it is written.
     #[param(inline)]
     format: Format,
-    /// COLMAP: which file of the model. COLMAP puts the origin at the corner of the top-left pixel, half a pixel from
-    /// where it is everywhere else here. Image names are `keyframe_` and the key frame's number with six digits; the
-    /// images are at `…/keyframes/{kf}/image`. Reprojection errors are -1: not computed. Fetch the three parts while
-    /// nobody streams: each is as of its own commit.
+    /// COLMAP: which file of the model. COLMAP puts the origin at the corner of the top-left pixel, half a
+    /// pixel from where it is everywhere else here. Image names are `keyframe_` and the key frame's number
+    /// with six digits; the images are at `…/keyframes/{kf}/image`. Reprojection errors are -1: not computed.
+    /// Fetch the three parts while nobody streams: each is as of its own commit.
     #[param(inline)]
     part: Option<Part>,
-    /// This submap only; submaps do not share a frame of reference. Left out, JSON has all of them, and the others the
-    /// one with the most key frames.
+    /// This submap only; submaps do not share a frame of reference. Left out, JSON has all of them, and the
+    /// others the one with the most key frames.
     submap_id: Option<u32>,
 }
 

@@ -17,7 +17,7 @@ pub struct CreateSession {
     pub id: Option<String>,
     /// Its camera.
     pub camera: Camera,
-    /// What it runs with.
+    /// The session's options.
     #[serde(default)]
     pub options: SessionOptions,
 }
@@ -48,7 +48,7 @@ pub struct Session {
     pub camera: Camera,
     /// Its camera as it was found to be; `null` while it is used as it was given.
     pub refined_camera: Option<Camera>,
-    /// What it runs with.
+    /// The session's options.
     pub options: SessionOptions,
     /// Wall-clock time of creation, nanoseconds since 1970.
     pub created_at_ns: i64,

@@ -56,8 +56,8 @@ pub(super) struct Wanted {
     /// Which poses.
     #[param(inline)]
     kind: Kind,
-    /// Poses of this submap only; submaps do not share a frame of reference. By default all submaps in `csv` and `json`,
-    /// which name each pose's, and in the other formats the one with the most poses.
+    /// Poses of this submap only; submaps do not share a frame of reference. By default all submaps in `csv`
+    /// and `json`, which name each pose's, and in the other formats the one with the most poses.
     submap_id: Option<u32>,
     /// First time, nanoseconds.
     from_timestamp_ns: Option<i64>,
@@ -103,8 +103,8 @@ pub(super) async fn trajectory(
 }
 
 impl Format {
-    /// Whose poses are written when nothing else is asked for: several frames of reference can only be told apart where
-    /// each pose names its submap.
+    /// Whose poses are written when nothing else is asked for: several frames of reference can only be told
+    /// apart where each pose names its submap.
     fn submaps(self) -> SubmapChoice {
         match self {
             Self::Tum | Self::Euroc | Self::Kitti => SubmapChoice::Largest,

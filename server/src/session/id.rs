@@ -8,8 +8,8 @@ const MAX_LENGTH: usize = 64;
 /// Letters of an id the server makes: 20 base-32 characters are 100 random bits.
 const GENERATED_LENGTH: usize = 20;
 
-/// A session's id: 1 to 64 letters, digits, `-` and `_`. No other string can be made into one, so an id can never
-/// be a path, a pattern or a piece of a query.
+/// A session's id: 1 to 64 letters, digits, `-` and `_`. No other string can be made into one, so an id can
+/// never be a path, a pattern or a piece of a query.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SessionId(String);
 

@@ -1,7 +1,7 @@
 //! The images of frames that may become key frames, until the map says which did.
 //!
-//! The engine decides about key frames after the frame was handed in: the first map is made from earlier views, and
-//! mapping may run behind tracking. So images of candidates are held, by reference, within bounds.
+//! The engine decides about key frames after the frame was handed in: the first map is made from earlier
+//! views, and mapping may run behind tracking. So images of candidates are held, by reference, within bounds.
 
 use super::frame::{Encoding, SentImage};
 use png::{BitDepth, ColorType, Compression, Encoder, Filter};
@@ -24,7 +24,8 @@ pub struct CandidateImages {
 }
 
 impl CandidateImages {
-    /// Holds a frame's image if the frame is or may yet become a key frame; the oldest go when there are too many.
+    /// Holds a frame's image if the frame is or may yet become a key frame; the oldest go when there are too
+    /// many.
     pub fn offer(&mut self, sequence: u64, image: SentImage, state: FrameState, is_keyframe: bool) {
         if state == FrameState::Tracked && !is_keyframe {
             return;

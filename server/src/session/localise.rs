@@ -1,8 +1,8 @@
 //! Locating one image in a stored map.
 //!
-//! The image goes through an engine of its own, made of the map's last commit and thrown away afterwards. So nothing of
-//! the session changes, a connected writer is neither in the way nor disturbed, and the same image gives the same answer
-//! whatever was asked before.
+//! The image goes through an engine of its own, made of the map's last commit and thrown away afterwards. So
+//! nothing of the session changes, a connected writer is neither in the way nor disturbed, and the same image
+//! gives the same answer whatever was asked before.
 
 use super::decoder;
 use super::frame::SentImage;

@@ -1,8 +1,9 @@
 //! The frames of one stream that wait for their turn.
 //!
-//! An async producer (the network) on one side, a thread (the decoder) on the other. What happens when the queue
-//! is full is the stream's policy: LOSSLESS waits, which holds the client back through HTTP/2's flow control;
-//! REALTIME drops the oldest frame and leaves a marker in its place, so that answers keep the order of arrival.
+//! An async producer (the network) on one side, a thread (the decoder) on the other. What happens when the
+//! queue is full is the stream's policy: LOSSLESS waits, which holds the client back through HTTP/2's flow
+//! control; REALTIME drops the oldest frame and leaves a marker in its place, so that answers keep the order
+//! of arrival.
 
 use super::frame::{Rejection, SentFrame};
 use crate::error::ApiError;
@@ -10,8 +11,9 @@ use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
-/// Markers of dropped and rejected frames that wait to be answered, at most. They are small, but a client that does
-/// not read its answers must not grow them without end: beyond this it is held back, whatever the policy.
+/// Markers of dropped and rejected frames that wait to be answered, at most. They are small, but a client
+/// that does not read its answers must not grow them without end: beyond this it is held back, whatever the
+/// policy.
 const MAX_MARKERS: usize = 4096;
 
 /// What happens to frames that come faster than they are tracked.

@@ -163,8 +163,8 @@ impl Registry {
         Ok(())
     }
 
-    /// Takes a session out of memory and runs `change` while nobody can load it, so that its next stream runs with
-    /// what was changed.
+    /// Takes a session out of memory and runs `change` while nobody can load it, so that its next stream runs
+    /// with what was changed.
     ///
     /// # Errors
     /// If a writer is connected, or what `change` says.

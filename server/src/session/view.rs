@@ -42,7 +42,7 @@ pub struct SessionView {
     pub camera: CameraParameters,
     /// Its camera as it was found to be; `None` while it is used as it was given.
     pub refined_camera: Option<CameraParameters>,
-    /// What it runs with.
+    /// The session's options.
     pub options: SessionOptions,
     /// Wall-clock time of creation, nanoseconds since 1970.
     pub created_at_ns: i64,

@@ -1,8 +1,8 @@
 //! The thread that owns a session. Nothing else touches its pipeline.
 //!
-//! It serves one stream at a time: a decoding thread beside it takes frames from the stream's queue, this thread
-//! tracks them, answers go back through a bounded channel, and map updates go to the session's writer. At the end of
-//! a stream everything is flushed before the client sees the end.
+//! It serves one stream at a time: a decoding thread beside it takes frames from the stream's queue, this
+//! thread tracks them, answers go back through a bounded channel, and map updates go to the session's writer.
+//! At the end of a stream everything is flushed before the client sees the end.
 
 use super::SessionId;
 use super::decoder::{self, Decoded};
@@ -26,7 +26,8 @@ use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 use vision::decode::DecodeLimits;
 
-/// Decoded frames that wait for tracking: one, so that decoding overlaps tracking. The decoder waits when it is full.
+/// Decoded frames that wait for tracking: one, so that decoding overlaps tracking. The decoder waits when it
+/// is full.
 const DECODED_AHEAD: usize = 1;
 /// How long an answer may wait for a client once its stream is to end.
 const LAST_ANSWERS_PATIENCE: Duration = Duration::from_secs(1);
@@ -172,8 +173,8 @@ impl Worker {
         self.outbox.close();
     }
 
-    /// Waits for a stream. `None` once the session is to end: then the channel is closed, and what came just before that
-    /// is still served.
+    /// Waits for a stream. `None` once the session is to end: then the channel is closed, and what came just
+    /// before that is still served.
     fn next_stream(&mut self) -> Option<Stream> {
         let Ends { streams, unload, .. } = &mut self.ends;
         self.runtime.block_on(async {

@@ -1,8 +1,9 @@
 //! Saves a session's map updates, one transaction each, beside tracking.
 //!
-//! Tracking hands an update over under a short lock and goes on. While a transaction runs, updates that follow are
-//! merged into one, so a slow disk makes transactions larger, never the queue longer. A deterministic session is
-//! saved update by update, so that what its database holds does not depend on time; it waits for the disk instead.
+//! Tracking hands an update over under a short lock and goes on. While a transaction runs, updates that
+//! follow are merged into one, so a slow disk makes transactions larger, never the queue longer. A
+//! deterministic session is saved update by update, so that what its database holds does not depend on time;
+//! it waits for the disk instead.
 
 use super::frame::SentImage;
 use super::images::to_file;
@@ -18,8 +19,8 @@ use tokio::sync::{Notify, watch};
 
 /// Updates a deterministic session may be ahead of the disk before it waits. Others merge into one.
 const MAX_UPDATES_AHEAD: usize = 16;
-/// Bytes of key frames' images that wait to be saved, at most; further ones are left out with a warning. Poses and
-/// landmarks are never left out.
+/// Bytes of key frames' images that wait to be saved, at most; further ones are left out with a warning.
+/// Poses and landmarks are never left out.
 const MAX_WAITING_IMAGE_BYTES: usize = 128 << 20;
 
 /// Where updates are saved.
@@ -88,7 +89,8 @@ impl Batch {
     }
 }
 
-/// Starts the task that saves. It ends when every [`Outbox`] was closed and everything is saved or was tried once more.
+/// Starts the task that saves. It ends when every [`Outbox`] was closed and everything is saved or was tried
+/// once more.
 pub fn start(
     sink: impl Sink,
     durable_sequence: Option<u64>,
@@ -103,7 +105,8 @@ pub fn start(
 }
 
 impl Outbox {
-    /// Hands an update over. Returns at once, save in a deterministic session that is far ahead of a working disk.
+    /// Hands an update over. Returns at once, save in a deterministic session that is far ahead of a working
+    /// disk.
     pub fn push(&self, update: MapUpdate, mut images: Vec<(KeyframeId, SentImage)>) {
         let mut waiting = self.shared.lock();
         if self.shared.one_by_one {

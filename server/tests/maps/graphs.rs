@@ -8,7 +8,8 @@ use std::collections::BTreeSet;
 use testkit::world::{Size, kf, map, parts, pt};
 
 const LONG: Size = Size { n_keyframes: 30, n_keypoints: 500, n_points: 2400 };
-/// Points that key frames 2 and 26 share since a loop was closed there, and 3 and 27: enough for a tie, and too few.
+/// Points that key frames 2 and 26 share since a loop was closed there, and 3 and 27: enough for a tie, and
+/// too few.
 const N_SHARED_ACROSS: [usize; 2] = [40, 20];
 
 /// A chain of key frames whose end sees the beginning again.

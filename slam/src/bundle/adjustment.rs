@@ -180,8 +180,8 @@ pub(crate) struct Adjusted {
 }
 
 impl Adjusted {
-    /// Puts the result into the map; sightings that disagree with it are removed. What is no longer in the map is passed
-    /// over.
+    /// Puts the result into the map; sightings that disagree with it are removed. What is no longer in the
+    /// map is passed over.
     pub fn write_into(&self, map: &mut Map) {
         for (id, pose) in &self.poses {
             map.set_pose(*id, *pose);

@@ -1,4 +1,4 @@
-//! Lines as the optimiser holds them.
+//! Lines in orthonormal representation about a local origin, as the optimizer holds them.
 
 use super::factors::LineReprojectionFactor;
 use crate::features::LineFeature;
@@ -6,7 +6,8 @@ use crate::map::{LineLandmark, LinePlace};
 use geometry::nalgebra::Vector3;
 use geometry::{Direction, Line3, OrthonormalLine, Pinhole, Pose};
 
-/// A line in its four parameters about a point near it, where they are well conditioned [ALGORITHMS 5.3].
+/// A line in its four parameters about a point near it, where they are well conditioned
+/// [method: Orthonormal representation].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AnchoredLine {
     /// World, map units: as far from the line's middle as the line is long.

@@ -1,5 +1,5 @@
-//! Bundle adjustment of a submap with the camera's focal length and principal point free: what a recording says of a
-//! calibration that is not quite true.
+//! Self-calibration: bundle adjustment of a submap with the intrinsics (focal length and principal point)
+//! free. [method: Self-calibration]
 
 use super::factors::{CalibratedReprojectionFactor, CalibrationPriorFactor, correction_of, vector_of};
 use crate::config::CalibrationConfig;
@@ -55,10 +55,12 @@ struct Calibration {
     prior: GroupId<CalibrationPriorFactor>,
 }
 
-/// Looks at the camera of a submap. `before` is what made the last look doubtful. `None` if `aborted` said so.
+/// Looks at the camera of a submap. `before` is what made the last look doubtful. `None` if `aborted` said
+/// so.
 ///
-/// Errors of keypoints that are not independent feign small errors of the camera, with a χ² that looks significant. They
-/// differ from one look to the next, while the camera stays the same: hence two looks have to agree, unless one is beyond doubt.
+/// Errors of keypoints that are not independent feign small errors of the camera, with a χ² that looks
+/// significant. They differ from one look to the next, while the camera stays the same: hence two looks have
+/// to agree, unless one is beyond doubt.
 pub(crate) fn examine(
     map: &Map,
     submap: SubmapId,

@@ -1,4 +1,5 @@
-//! What a single camera cannot know stays free, whatever kinds of factors there are.
+//! Gauge freedom: the seven dimensions that a single camera cannot know stay free, whatever factors there
+//! are.
 
 use super::anchored_line::AnchoredLine;
 use super::factors::{

@@ -1,5 +1,5 @@
-//! Bundle adjustment of a whole submap. It works on a snapshot, beside tracking and mapping; what was added to the map
-//! meanwhile is carried along when the result is merged. [ALGORITHMS 7.6, 8.3]
+//! Bundle adjustment of a whole submap. It works on a snapshot, beside tracking and mapping; what was added
+//! to the map meanwhile is carried along when the result is merged. [method: Global bundle adjustment]
 
 use super::adjustment::{Adjusted, Adjustment, Scope};
 use super::calibration::Estimate;
@@ -22,9 +22,9 @@ pub(crate) struct GlobalResult {
     correction: Option<PinholeCorrection>,
 }
 
-/// Adjusts every key frame of a submap with the points and lines they see: all of it, then without the outliers, then with
-/// what primitives say of key frames that never saw the same place. `None` if `abort` was set meanwhile or there is
-/// nothing to adjust.
+/// Adjusts every key frame of a submap with the points and lines they see: all of it, then without the
+/// outliers, then with what primitives say of key frames that never saw the same place. `None` if `abort` was
+/// set meanwhile or there is nothing to adjust.
 pub(crate) fn adjust(
     map: &Map,
     submap: SubmapId,
@@ -57,7 +57,8 @@ pub(crate) fn adjust(
     (!aborted()).then_some(GlobalResult { submap, fixed: Some(fixed), adjusted, correction: None })
 }
 
-/// Adjusts a submap to another camera: the one found with its poses and points, or the one of the calibration.
+/// Adjusts a submap to another camera: the one found with its poses and points, or the one of the
+/// calibration.
 pub(crate) fn adjust_to_camera(
     map: &Map,
     submap: SubmapId,
@@ -75,8 +76,8 @@ pub(crate) fn adjust_to_camera(
 }
 
 impl GlobalResult {
-    /// Takes the result over. Key frames made since follow the one they hang on in the spanning tree, other landmarks the
-    /// key frame that made them.
+    /// Takes the result over. Key frames made since follow the one they hang on in the spanning tree, other
+    /// landmarks the key frame that made them.
     pub fn merge_into(self, map: &mut Map) {
         if let Some(correction) = self.correction {
             map.set_correction(correction);
@@ -92,7 +93,8 @@ impl GlobalResult {
         self.adjusted.write_into(map);
     }
 
-    /// The adjusted and the present pose of the key frame itself, or of the nearest one above it in the spanning tree.
+    /// The adjusted and the present pose of the key frame itself, or of the nearest one above it in the
+    /// spanning tree.
     fn nearest_adjusted(&self, map: &Map, keyframe: &Keyframe) -> Option<(Pose, Pose)> {
         let mut current = keyframe;
         // Each step goes one up in the tree; the bound is for safety.

@@ -1,4 +1,4 @@
-//! Local bundle adjustment around a new key frame. [ALGORITHMS 8.3]
+//! Local bundle adjustment around a new key frame. [method: Local bundle adjustment]
 
 use super::adjustment::{Adjustment, Scope};
 use super::stage_two::StageTwo;
@@ -7,11 +7,13 @@ use crate::map::{Keyframe, KeyframeId, LineId, Map, PointId};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Moves the key frame, its neighbours and the landmarks they see; other key frames that see those stay where they
-/// are. Sightings that disagree in the end are removed. Stops early, with what is reached, when `abort` is set.
+/// Moves the key frame, its neighbours and the landmarks they see; other key frames that see those stay where
+/// they are. Sightings that disagree in the end are removed. Stops early, with what is reached, when `abort`
+/// is set.
 ///
-/// Stage one moves them by points and lines alone. Stage two, where there are primitives in sight, adds what these say,
-/// and is taken back where it would turn the new key frame by more than its own uncertainty allows.
+/// Stage one moves them by points and lines alone. Stage two, where there are primitives in sight, adds what
+/// these say, and is taken back where it would turn the new key frame by more than its own uncertainty
+/// allows.
 pub(crate) fn optimise(map: &mut Map, centre: KeyframeId, config: &SlamConfig, abort: &AtomicBool) {
     let Some(scope) = scope_around(map, centre, &config.mapping) else { return };
     let aborted = || abort.load(Ordering::Relaxed);
@@ -59,8 +61,8 @@ fn scope_around(map: &Map, centre: KeyframeId, config: &MappingConfig) -> Option
     let mut fixed: BTreeSet<KeyframeId> =
         ranked.into_iter().take(config.max_fixed_keyframes).map(|(id, _)| id).collect();
 
-    // A young map is all window: its oldest key frame settles position and attitude, and damping the scale. To fix a
-    // second one would keep the errors of the first two views for good.
+    // A young map is all window: its oldest key frame settles position and attitude, and damping the scale.
+    // To fix a second one would keep the errors of the first two views for good.
     if fixed.is_empty() {
         let oldest = free.pop_first()?;
         fixed.insert(oldest);

@@ -1,7 +1,8 @@
-//! How far the edges of one direction are from parallel.
+//! Noise of a primitive's segments: how far the edges of one direction are from parallel.
 //!
-//! Rendered edges miss their vanishing point by a quarter of what their segments' deviations allow, those of buildings and
-//! furniture by up to four times as much. Trusted alike, the latter bend the map to suit themselves.
+//! Rendered edges miss their vanishing point by a quarter of what their segments' deviations allow, those of
+//! buildings and furniture by up to four times as much. Trusted alike, the latter bend the map to suit
+//! themselves.
 
 use super::factors::VanishingReprojectionFactor;
 use crate::config::PrimitiveConfig;
@@ -11,8 +12,8 @@ use optim::Factor;
 /// The median of the absolute value of a normal distribution, in standard deviations.
 const MEDIAN_OF_NORMAL: f64 = 0.6745;
 
-/// What the standard deviations of a primitive's segments count for, as a multiple of what they are as segments: more
-/// where the segments that show it scatter more.
+/// What the standard deviations of a primitive's segments count for, as a multiple of what they are as
+/// segments: more where the segments that show it scatter more.
 pub(crate) fn segment_sigma_factor(map: &Map, primitive: &GlobalPrimitive, config: &PrimitiveConfig) -> f64 {
     let newest = primitive.observations.iter().rev().take(config.max_keyframes_of_scatter);
     let mut misses: Vec<f64> = newest.flat_map(|seen| misses(map, primitive, seen)).collect();
@@ -63,7 +64,8 @@ mod tests {
         features
     }
 
-    /// The factor of a primitive along x that key frames show one after the other, each with ends as far off as is said.
+    /// The factor of a primitive along x that key frames show one after the other, each with ends as far off
+    /// as is said.
     fn factor(off_sigmas: &[f64], config: &PrimitiveConfig) -> f64 {
         let mut map = Map::default();
         let (along, covariance) = (Vector3::x(), Matrix3::identity() * 1e-4);

@@ -1,5 +1,5 @@
 //! The second stage of bundle adjustment: what global primitives say is added to what points and lines said.
-//! [paper, "Robust Factor Graph Optimization"; ALGORITHMS 6, 8.3]
+//! [method: Second stage]
 
 use super::adjustment::Adjustment;
 use super::factors::{DirectionPriorFactor, StructuralConsistencyFactor, VanishingReprojectionFactor};
@@ -21,19 +21,21 @@ pub(crate) enum StageTwo {
     NothingToAdd,
     /// The result includes the primitives.
     Added,
-    /// The primitives would have turned the key frame more than its own uncertainty allows: they were left out.
+    /// The primitives would have turned the key frame more than its own uncertainty allows: they were left
+    /// out.
     Refused,
 }
 
-/// Standard deviation of a direction that nothing else holds, radians: keeps the system regular while the primitives'
-/// terms are asleep, and says nothing beside them.
+/// Standard deviation of a direction that nothing else holds, radians: keeps the system regular while the
+/// primitives' terms are asleep, and says nothing beside them.
 const ASLEEP_SIGMA_RAD: f64 = 1.0;
-/// The second stage ends when an iteration lowers the cost by less than this share: a tenth of a standard deviation in
-/// the usual window. It starts from a minimum, and two iterations all but reach the next.
+/// The second stage ends when an iteration lowers the cost by less than this share: a tenth of a standard
+/// deviation in the usual window. It starts from a minimum, and two iterations all but reach the next.
 const MIN_RELATIVE_DECREASE: f64 = 1e-4;
 
 impl Adjustment {
-    /// Enters the primitives that the free key frames show, for [`add_primitives`](Self::add_primitives) later.
+    /// Enters the primitives that the free key frames show, for [`add_primitives`](Self::add_primitives)
+    /// later.
     pub fn expect_primitives(&mut self, map: &Map, config: &PrimitiveConfig) {
         let in_sight = self.primitives_in_sight(map);
         if !in_sight.is_empty() {
@@ -43,8 +45,8 @@ impl Adjustment {
         }
     }
 
-    /// Goes on from the present state with what the primitives say. If that turns `centre` by more than its uncertainty
-    /// allows, everything is put back, and `centre` shows none of its primitives any more.
+    /// Goes on from the present state with what the primitives say. If that turns `centre` by more than its
+    /// uncertainty allows, everything is put back, and `centre` shows none of its primitives any more.
     pub fn add_primitives(
         &mut self,
         map: &mut Map,
@@ -66,8 +68,9 @@ impl Adjustment {
         outcome
     }
 
-    /// As [`add_primitives`](Self::add_primitives) where every key frame is free to move: all is put back if points and
-    /// lines object more than they would to a turn of every key frame by as much as is allowed of one.
+    /// As [`add_primitives`](Self::add_primitives) where every key frame is free to move: all is put back if
+    /// points and lines object more than they would to a turn of every key frame by as much as is allowed of
+    /// one.
     pub fn add_primitives_everywhere(
         &mut self,
         config: &PrimitiveConfig,
@@ -99,8 +102,8 @@ impl Adjustment {
             min_relative_decrease: MIN_RELATIVE_DECREASE,
             ..SolverOptions::default()
         };
-        // Of all ways to turn a key frame by n sigmas, the one that suits points and lines best raises their χ² by n²: a
-        // smaller rise needs no covariance to be let pass.
+        // Of all ways to turn a key frame by n sigmas, the one that suits points and lines best raises their
+        // χ² by n²: a smaller rise needs no covariance to be let pass.
         let rise = self.solve_with_primitives(terms, &options, || false);
         if rise <= config.max_turn_sigmas.powi(2) {
             return StageTwo::Added;
@@ -135,7 +138,8 @@ impl Adjustment {
         self.problem.set_group_enabled(terms.parallels, awake);
     }
 
-    /// By how many standard deviations of its attitude at the present state another pose of a key frame is turned.
+    /// By how many standard deviations of its attitude at the present state another pose of a key frame is
+    /// turned.
     fn sigmas_of_turn(&mut self, id: KeyframeId, turned: &Pose) -> Option<f64> {
         let (pose, covariance) = self.attitude(id)?;
         let turn = (turned.rotation * pose.rotation.inverse()).scaled_axis();
@@ -193,8 +197,9 @@ impl Adjustment {
         }
     }
 
-    /// What key frames outside the problem say of a primitive. Those that hold the window in place are not among them:
-    /// points and lines take their attitudes for exact, and a primitive that trusted them less would bend the window.
+    /// What key frames outside the problem say of a primitive. Those that hold the window in place are not
+    /// among them: points and lines take their attitudes for exact, and a primitive that trusted them less
+    /// would bend the window.
     fn outside_prior(&self, map: &Map, primitive: &GlobalPrimitive) -> Option<DirectionPriorFactor> {
         let outside = primitive.observations.iter().filter(|seen| !self.poses.contains_key(&seen.keyframe));
         let DirectionEstimate { direction, information } = estimate_direction(map, outside.copied())?;

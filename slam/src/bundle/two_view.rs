@@ -20,7 +20,8 @@ pub(crate) struct RefinedPair {
     pub direction_sigma_deg: f64,
 }
 
-/// Refines the second pose and the points, with the first camera at the origin and the baseline's length kept.
+/// Refines the second pose and the points, with the first camera at the origin and the baseline's length
+/// kept.
 pub(crate) fn refine(
     second_from_first: Pose,
     points: &[(Vector3<f64>, [PointReprojectionFactor; 2])],

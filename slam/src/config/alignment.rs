@@ -1,16 +1,17 @@
-//! Following the camera by the images themselves.
+//! Configuration of direct (photometric) alignment.
 
 use super::ConfigError;
 
-/// How a frame is aligned with the last one by grey levels, where features are lost to speed or blur.
+/// Direct (photometric) alignment of a frame with the last one, where features are lost to speed or blur.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AlignmentConfig {
-    /// Half resolutions of the image, of which the coarsest is used first. Default 4: 40 x 30 pixels of 640 x 480.
+    /// Half resolutions of the image, of which the coarsest is used first. Default 4: 40 x 30 pixels of 640
+    /// x 480.
     pub coarsest_level: u8,
     /// The last one used. Default 1: features take it from there.
     pub finest_level: u8,
-    /// Turns of the camera that are tried on the coarsest level, to either side and up and down, degrees. Default 20: what
-    /// a hand does in a third of a second.
+    /// Turns of the camera that are tried on the coarsest level, to either side and up and down, degrees.
+    /// Default 20: what a hand does in a third of a second.
     pub max_turn_deg: f64,
     /// Patches compared at most. Default 200: more add time and little else.
     pub max_patches: usize,

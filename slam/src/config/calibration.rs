@@ -1,29 +1,34 @@
-//! What refining the camera's calibration runs with.
+//! Configuration of self-calibration: refinement of the intrinsics.
 
 use super::ConfigError;
 
-/// Whether and when the focal length and the principal point are estimated along with the map.
+/// Self-calibration: whether and when the intrinsics (focal length and principal point) are estimated along
+/// with the map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationConfig {
-    /// Standard deviation of the focal length as given, as a share of it. Default 0.01: what calibrations by hand, autofocus
-    /// and warming up leave.
+    /// Standard deviation of the focal length as given, as a share of it. Default 0.01: what calibrations by
+    /// hand, autofocus and warming up leave.
     pub focal_sigma: f64,
-    /// Standard deviation of the principal point as given, either way, in focal lengths. Default 0.01, for the same reasons.
+    /// Standard deviation of the principal point as given, either way, in focal lengths. Default 0.01, for
+    /// the same reasons.
     pub centre_sigma: f64,
     /// Key frames from which on it is tried. Default 10.
     pub min_keyframes: usize,
     /// It is tried again when there are this many times as many key frames. Default 1.5.
     pub growth: f64,
-    /// Key frames beyond which it is no longer tried. Default 60: the camera is known by then, and the time that adjusting
-    /// all key frames takes grows.
+    /// Key frames beyond which it is no longer tried. Default 60: the camera is known by then, and the time
+    /// that adjusting all key frames takes grows.
     pub max_keyframes: usize,
-    /// Decrease of χ² from which on the camera is in doubt. Default 10: 170 looks at rendered cameras, which are exactly as
-    /// given, brought 1 in the median and 10 to 21 in one of twenty; a camera off by 1 %, 15 to 29.
+    /// Decrease of χ² from which on the camera is in doubt. Default 10: 170 looks at rendered cameras, which
+    /// are exactly as given, brought 1 in the median and 10 to 21 in one of twenty; a camera off by 1 %, 15
+    /// to 29.
     pub min_gain: f64,
-    /// Decrease of χ² from which on one look is enough. Default 40: twice what any camera that was as given brought.
+    /// Decrease of χ² from which on one look is enough. Default 40: twice what any camera that was as given
+    /// brought.
     pub certain_gain: f64,
-    /// How much two looks in a row may disagree, as a share of the correction, for the camera to be taken over. Default 0.33:
-    /// the rendered ones among them that were in doubt twice disagreed by 0.45 and more, the camera that was off by 0.15.
+    /// How much two looks in a row may disagree, as a share of the correction, for the camera to be taken
+    /// over. Default 0.33: the rendered ones among them that were in doubt twice disagreed by 0.45 and more,
+    /// the camera that was off by 0.15.
     pub max_disagreement: f64,
     /// Iterations of each adjustment. Default 10.
     pub max_iterations: usize,

@@ -1,4 +1,4 @@
-//! What a session runs with. Every field has a default, a unit and a reason.
+//! Configuration of a session. Every field has a default, a unit and a reason.
 
 mod alignment;
 mod calibration;
@@ -30,7 +30,7 @@ pub enum Threading {
     Background,
 }
 
-/// What a session uses beside points: the paper's ablation.
+/// What a session uses beside points: the ablation of Jiang et al..
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FeatureSwitches {
     /// Line segments are tracked, mapped and optimised. Default on.
@@ -39,7 +39,8 @@ pub struct FeatureSwitches {
     pub global_primitives: bool,
     /// Places seen before are recognised: loops are closed and submaps merged. Default on.
     pub loop_closing: bool,
-    /// The calibration is looked at as the map grows, and the focal length and principal point put right. Default on.
+    /// Self-calibration: focal length and principal point are checked and refined as the map grows. Default
+    /// on.
     pub refine_calibration: bool,
 }
 
@@ -63,29 +64,29 @@ pub struct SlamConfig {
     pub working_width_px: u32,
     /// The extractor of points.
     pub orb: OrbConfig,
-    /// Making the first map.
+    /// Initialization: the first map.
     pub initialisation: InitialisationConfig,
-    /// Following the camera.
+    /// Tracking.
     pub tracking: TrackingConfig,
-    /// Finding a lost camera.
+    /// Relocalization.
     pub relocalisation: RelocalisationConfig,
     /// When a frame is kept.
     pub keyframes: KeyframeConfig,
     /// Extending the map.
     pub mapping: MappingConfig,
-    /// Following and mapping lines.
+    /// Line tracking and line mapping.
     pub lines: LineConfig,
-    /// Directions shared by key frames.
+    /// Global primitives: directions shared by keyframes.
     pub primitives: PrimitiveConfig,
-    /// Following the camera where features are lost.
+    /// Direct (photometric) alignment, where features are lost.
     pub alignment: AlignmentConfig,
-    /// How far a lost camera can have gone.
+    /// Motion continuity: how far a lost camera can have moved.
     pub continuity: ContinuityConfig,
-    /// Recognising places and correcting the map by them.
+    /// Loop closing and map merging.
     pub loops: LoopConfig,
-    /// Beginning further pieces of map.
+    /// Beginning submaps.
     pub submaps: SubmapConfig,
-    /// Refining the calibration.
+    /// Self-calibration.
     pub calibration: CalibrationConfig,
 }
 
@@ -113,7 +114,7 @@ impl Default for SlamConfig {
     }
 }
 
-/// Making the first map from two views.
+/// Initialization: the first map from two views.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InitialisationConfig {
     /// Features asked of the extractor while there is no map. Default 2000: matches are scarce at first.
@@ -122,13 +123,15 @@ pub struct InitialisationConfig {
     pub min_keypoints: usize,
     /// Views kept to start from; every second one goes when full. Default 30: a second of video.
     pub max_reference_views: usize,
-    /// Frames that are kept to be placed once the map is good enough. Default 150: five seconds of video, 25 MB.
+    /// Frames that are kept to be placed once the map is good enough. Default 150: five seconds of video, 25
+    /// MB.
     pub max_backfill_views: usize,
-    /// Width of the key frames' positions as a share of the scene's median depth from which a map is good enough to
-    /// place older frames in, and those that were tracked in it while it was younger once more. Default 0.3: a map begun on few points
-    /// believes to be wider than it is.
+    /// Width of the key frames' positions as a share of the scene's median depth from which a map is good
+    /// enough to place older frames in, and those that were tracked in it while it was younger once more.
+    /// Default 0.3: a map begun on few points believes to be wider than it is.
     pub mature_baseline_share: f64,
-    /// Key frames it must have as well. Default 5: how wide two views lie apart is known no better than their depths.
+    /// Key frames it must have as well. Default 5: how wide two views lie apart is known no better than their
+    /// depths.
     pub mature_keyframes: usize,
     /// Pairs tried per frame: the widest usable baseline and shorter ones. Default 2, to bound the time.
     pub max_attempts_per_frame: usize,
@@ -142,15 +145,16 @@ pub struct InitialisationConfig {
     pub min_points: usize,
     /// Share of the matches that must agree with the motion found. Default 0.7.
     pub min_inlier_share: f64,
-    /// A second motion whose cost over all matches is below this many times the best one's makes the pair ambiguous.
-    /// Default 1.3.
+    /// A second motion whose cost over all matches is below this many times the best one's makes the pair
+    /// ambiguous. Default 1.3.
     pub min_runner_up_cost_ratio: f64,
     /// Least parallax, reached by the widest fiftieth point, degrees. Default 1.0: below it depth is noise.
     pub min_parallax_deg: f64,
-    /// Largest standard deviation of the direction of motion, degrees. Default 1.0: turning and moving sideways look
-    /// alike over a short baseline, and a map begun on a wrong mixture of the two bends.
+    /// Largest standard deviation of the direction of motion, degrees. Default 1.0: turning and moving
+    /// sideways look alike over a short baseline, and a map begun on a wrong mixture of the two bends.
     pub max_direction_sigma_deg: f64,
-    /// Views after which twice that is accepted, and in between and beyond in proportion. Default 90: three seconds.
+    /// Views after which twice that is accepted, and in between and beyond in proportion. Default 90: three
+    /// seconds.
     pub patience_views: usize,
     /// Share of the map's points a view between the two must confirm. Default 0.6.
     pub min_third_view_share: f64,
@@ -180,7 +184,7 @@ impl Default for InitialisationConfig {
     }
 }
 
-/// Following the camera from frame to frame.
+/// Tracking from frame to frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackingConfig {
     /// Radius in which a point of the last frame is looked for, pixels of its level. Default 15.
@@ -200,30 +204,34 @@ pub struct TrackingConfig {
     pub match_ratio: f32,
     /// Key frames of the local map at most. Default 80.
     pub max_local_keyframes: usize,
-    /// Landmarks that must agree for a good pose. Default 10: few edges and corners in general position determine a pose,
-    /// and whether they do is judged by its uncertainty.
+    /// Landmarks that must agree for a good pose. Default 10: few edges and corners in general position
+    /// determine a pose, and whether they do is judged by its uncertainty.
     pub min_inliers: usize,
     /// Landmarks that must agree for a weak pose; fewer and the camera is lost. Default 6: fewer
     /// agree by chance.
     pub min_weak_inliers: usize,
     /// Share of the landmarks that could be found again which a good pose needs, between `min_inliers` and
-    /// `plentiful_inliers`; a weak one needs half of it. Default 0.2: true poses reach 0.3 and more, false ones 0.01.
+    /// `plentiful_inliers`; a weak one needs half of it. Default 0.2: true poses reach 0.3 and more, false
+    /// ones 0.01.
     pub min_found_share: f64,
-    /// Landmarks that are enough for a good pose however many were expected, and half of it for a weak one. Default 60:
-    /// in crowded places 35 have been seen to agree by chance, while blur and people in the way may hide all but some.
+    /// Landmarks that are enough for a good pose however many were expected, and half of it for a weak one.
+    /// Default 60: in crowded places 35 have been seen to agree by chance, while blur and people in the way
+    /// may hide all but some.
     pub plentiful_inliers: usize,
-    /// Largest standard deviation of a good pose's attitude, degrees. Default 0.4; textured places reach 0.02.
+    /// Largest standard deviation of a good pose's attitude, degrees. Default 0.4; textured places reach
+    /// 0.02.
     pub max_rotation_sigma_deg: f64,
-    /// Largest standard deviation of a good pose's position, as a share of the scene's median depth. Default 0.01;
-    /// textured places reach 0.0004.
+    /// Largest standard deviation of a good pose's position, as a share of the scene's median depth. Default
+    /// 0.01; textured places reach 0.0004.
     pub max_position_sigma_share: f64,
-    /// How many times as uncertain as a good pose that of a key frame may be. Default 1.5: where a camera turns from a bare
-    /// wall to new texture, the pose is weak until there are landmarks, and there are none until there is a key frame.
+    /// How many times as uncertain as a good pose that of a key frame may be. Default 1.5: where a camera
+    /// turns from a bare wall to new texture, the pose is weak until there are landmarks, and there are none
+    /// until there is a key frame.
     pub keyframe_sigma_factor: f64,
     /// How many times as uncertain a weak pose may be; beyond it the camera is lost. Default 5.
     pub weak_sigma_factor: f64,
-    /// For how long a camera that was lost is looked for where it was heading, nanoseconds. Default 0.5 s: then people
-    /// have turned.
+    /// For how long a camera that was lost is looked for where it was heading, nanoseconds. Default 0.5 s:
+    /// then people have turned.
     pub max_coasting_ns: i64,
 }
 
@@ -251,15 +259,15 @@ impl Default for TrackingConfig {
     }
 }
 
-/// Finding a lost camera in the map.
+/// Relocalization: finding a lost camera in the map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RelocalisationConfig {
     /// Places tried per frame. Default 5.
     pub max_candidates: usize,
     /// Fewest matches with a place worth a try. Default 15.
     pub min_matches: usize,
-    /// The same where vanishing points tell the camera's attitude, but for a few possibilities. Default 8: two matches then
-    /// give the position, and the others can agree.
+    /// The same where vanishing points tell the camera's attitude, but for a few possibilities. Default 8:
+    /// two matches then give the position, and the others can agree.
     pub min_matches_with_directions: usize,
     /// Iterations of the search for a pose. Default 300.
     pub max_iterations: usize,
@@ -269,11 +277,11 @@ pub struct RelocalisationConfig {
     pub min_first_inliers_with_directions: usize,
     /// Landmarks that must agree in the end. Default 40: a false place is worse than a lost frame.
     pub min_inliers: usize,
-    /// Share of the landmarks to be expected at a place that must be found there, up to `plentiful_inliers`. Default 0.4:
-    /// true places have shown 0.41 to 0.68, corners of a corridor that look alike 0.11 to 0.36.
+    /// Share of the landmarks to be expected at a place that must be found there, up to `plentiful_inliers`.
+    /// Default 0.4: true places have shown 0.41 to 0.68, corners of a corridor that look alike 0.11 to 0.36.
     pub min_found_share: f64,
-    /// Landmarks that are enough however many were expected. Default 200: a blurred image of a crowded place may show no
-    /// more, and no two places have been seen to share as many.
+    /// Landmarks that are enough however many were expected. Default 200: a blurred image of a crowded place
+    /// may show no more, and no two places have been seen to share as many.
     pub plentiful_inliers: usize,
 }
 
@@ -305,19 +313,23 @@ impl RelocalisationConfig {
 pub struct KeyframeConfig {
     /// A frame that finds less than this share of what its reference key frame sees is kept. Default 0.9.
     pub max_tracked_share: f64,
-    /// Median way that landmarks must have moved in the image since the last key frame, as a share of its width.
-    /// Default 0.025: views closer than that add work and no parallax.
+    /// Median way that landmarks must have moved in the image since the last key frame, as a share of its
+    /// width. Default 0.025: views closer than that add work and no parallax.
     pub min_displacement: f64,
-    /// A frame that finds less than this share is kept after a smaller way. Default 0.6: what is seen changes fast.
+    /// A frame that finds less than this share is kept after a smaller way. Default 0.6: what is seen changes
+    /// fast.
     pub urgent_tracked_share: f64,
     /// That smaller way, as a share of the image's width. Default 0.015.
     pub urgent_displacement: f64,
-    /// After this way a frame is kept however much of the map it finds, as a share of the image's width. Default 0.1: points
-    /// that two key frames have made are known well once a third sees them from elsewhere.
+    /// After this way a frame is kept however much of the map it finds, as a share of the image's width.
+    /// Default 0.1: points that two key frames have made are known well once a third sees them from
+    /// elsewhere.
     pub ample_displacement: f64,
-    /// The same share once `max_interval_ns` have gone by. Default 0.97: a slow camera still refreshes the map.
+    /// The same share once `max_interval_ns` have gone by. Default 0.97: a slow camera still refreshes the
+    /// map.
     pub max_tracked_share_after_wait: f64,
-    /// With fewer points than this found, segments ask for key frames too. Default 100: a pose hangs on them then.
+    /// With fewer points than this found, segments ask for key frames too. Default 100: a pose hangs on them
+    /// then.
     pub plentiful_points: usize,
     /// Segments followed since the last key frame and not yet in the map that ask for another. Default 6.
     pub min_followed_segments: usize,
@@ -353,7 +365,7 @@ impl Default for KeyframeConfig {
     }
 }
 
-/// Extending and tending the map.
+/// Local mapping: extending and maintaining the map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MappingConfig {
     /// Shared points that make two key frames neighbours. Default 15.
@@ -362,8 +374,8 @@ pub struct MappingConfig {
     pub n_triangulation_neighbours: usize,
     /// Baseline as a share of the scene's median depth below which no point is made. Default 0.01.
     pub min_baseline_share: f64,
-    /// Parallax below which no point is made, degrees. Default 0.7: half a pixel of error is then a tenth of the depth at
-    /// usual focal lengths, and turning slowly past a bare wall gives no more.
+    /// Parallax below which no point is made, degrees. Default 0.7: half a pixel of error is then a tenth of
+    /// the depth at usual focal lengths, and turning slowly past a bare wall gives no more.
     pub min_parallax_deg: f64,
     /// Best match's distance as a share of the second best's along the epipolar line. Default 0.8.
     pub match_ratio: f32,
@@ -463,7 +475,8 @@ impl SlamConfig {
         self.alignment.validate()
     }
 
-    /// The camera the engine works with: the session's, scaled down where its images are wider than the working width.
+    /// The camera the engine works with: the session's, scaled down where its images are wider than the
+    /// working width.
     pub fn working_camera(&self, camera: &Camera) -> Camera {
         if camera.width() <= self.working_width_px {
             return camera.clone();

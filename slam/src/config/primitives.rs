@@ -1,8 +1,8 @@
-//! How vanishing points become global primitives.
+//! Configuration of global primitives: how vanishing points become directions of the world.
 
 use vision::vanishing::VanishingConfig;
 
-/// Directions shared by key frames. [ALGORITHMS 6; paper, "Global Primitives"]
+/// Global primitives: directions shared by keyframes. [method: Global primitives]
 #[derive(Clone, Debug, PartialEq)]
 pub struct PrimitiveConfig {
     /// How vanishing points are found.
@@ -19,8 +19,8 @@ pub struct PrimitiveConfig {
     pub min_votes: usize,
     /// The second best primitive must be this many times farther off. Default 2.
     pub min_runner_up_ratio: f64,
-    /// Key frames that must share a direction to make a primitive. Default 3: a single frame shows one chance direction
-    /// in two.
+    /// Key frames that must share a direction to make a primitive. Default 3: a single frame shows one chance
+    /// direction in two.
     pub min_keyframes: usize,
     /// Segments that must support it in one of them. Default 5.
     pub min_segments: usize,
@@ -32,23 +32,27 @@ pub struct PrimitiveConfig {
     pub retire_after_keyframes: u64,
     /// Largest angle between a line and the primitive its segments vote for, degrees. Default 3.
     pub max_line_angle_deg: f64,
-    /// Standard deviation of the angle between a line and its primitive, degrees. Default 1: buildings are no truer.
+    /// Standard deviation of the angle between a line and its primitive, degrees. Default 1: buildings are no
+    /// truer.
     pub line_sigma_deg: f64,
-    /// Standard deviation of a segment's end, as far as its direction is concerned, in those of the segment: at least this.
-    /// Default 1.
+    /// Standard deviation of a segment's end, as far as its direction is concerned, in those of the segment:
+    /// at least this. Default 1.
     pub segment_sigma_factor: f64,
-    /// The same in those by which the primitive's segments are seen to scatter, where that is more. Default 2: an edge that
-    /// is not quite parallel errs alike in all the key frames that show it, so these count for fewer than they are.
+    /// The same in those by which the primitive's segments are seen to scatter, where that is more. Default
+    /// 2: an edge that is not quite parallel errs alike in all the key frames that show it, so these count
+    /// for fewer than they are.
     pub scatter_sigma_factor: f64,
-    /// How many of the key frames that show a primitive, newest first, tell how its segments scatter. Default 20: it is asked
-    /// for every frame.
+    /// How many of the key frames that show a primitive, newest first, tell how its segments scatter. Default
+    /// 20: it is asked for every frame.
     pub max_keyframes_of_scatter: usize,
-    /// Iterations of the second stage of local bundle adjustment. Default 2: it starts from the first one's result.
+    /// Iterations of the second stage of local bundle adjustment. Default 2: it starts from the first one's
+    /// result.
     pub stage_two_iterations: usize,
-    /// At the end of a recording, submaps of up to this many key frames are adjusted as a whole by their primitives.
-    /// Default 500: adjustment takes some 3 ms a key frame, and the recording's end waits for it.
+    /// At the end of a recording, submaps of up to this many key frames are adjusted as a whole by their
+    /// primitives. Default 500: adjustment takes some 3 ms a key frame, and the recording's end waits for it.
     pub max_keyframes_to_adjust: usize,
-    /// Primitives may turn the newest key frame by this many standard deviations of its own attitude. Default 3.
+    /// Primitives may turn the newest key frame by this many standard deviations of its own attitude.
+    /// Default 3.
     pub max_turn_sigmas: f64,
 }
 

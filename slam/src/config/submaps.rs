@@ -1,9 +1,10 @@
-//! What beginning further pieces of map runs with.
+//! Configuration of submaps.
 
-/// When a lost camera begins a further piece of map, and what becomes of the pieces.
+/// When a lost camera begins a submap, and what becomes of submaps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SubmapConfig {
-    /// Time without a pose after which a new submap is begun, nanoseconds. Default 1.5 s: longer than a blurred turn.
+    /// Time without a pose after which a new submap is begun, nanoseconds. Default 1.5 s: longer than a
+    /// blurred turn.
     pub max_lost_ns: i64,
     /// A submap with fewer key frames than this is discarded when the camera is lost. Default 6.
     pub min_keyframes: usize,

@@ -76,8 +76,8 @@ impl LineStage {
         }
     }
 
-    /// Looks for lines while `meanwhile` runs on the caller's thread as a stage of the given name; one after the other where
-    /// all is inline.
+    /// Looks for lines while `meanwhile` runs on the caller's thread as a stage of the given name; one after
+    /// the other where all is inline.
     pub fn extract_beside<T>(
         &mut self,
         image: &Arc<GrayImage>,

@@ -14,7 +14,7 @@ use vision::lines::{
 const UNDISTORTION_STEP_PX: f32 = 16.0;
 /// The same at most, for segments across the whole image.
 const MAX_UNDISTORTION_STEPS: usize = 32;
-/// Flow moves a segment less precisely than a detector finds it. [ALGORITHMS 3.2]
+/// Flow moves a segment less precisely than a detector finds it. [method: Line tracking by optical flow]
 const FLOW_SIGMA_FACTOR: f64 = 1.5;
 
 /// Detects segments, follows them and takes the lens distortion out.
@@ -62,16 +62,16 @@ impl LineFrontEnd {
     }
 }
 
-/// Where a pixel of the last image appears after a rotation, if it lies far away; itself where that is outside what the
-/// lens can show.
+/// Where a pixel of the last image appears after a rotation, if it lies far away; itself where that is
+/// outside what the lens can show.
 fn turn(camera: &Camera, now_from_last: &UnitQuaternion<f64>, pixel: &Vector2<f32>) -> Vector2<f32> {
     let bearing = camera.unproject(&pixel.cast());
     let moved = bearing.and_then(|bearing| camera.project(&(now_from_last * bearing)));
     moved.map_or(*pixel, |moved| moved.cast())
 }
 
-/// The straight line through the undistorted places along a segment, cut where its ends are, and the root mean square
-/// distance of those places from it, pixels. `None` where the lens model has no inverse.
+/// The straight line through the undistorted places along a segment, cut where its ends are, and the root
+/// mean square distance of those places from it, pixels. `None` where the lens model has no inverse.
 fn undistort(segment: &Segment, camera: &Camera) -> Option<(Vector2<f64>, Vector2<f64>, f64)> {
     let (start, end) = (camera.undistort(&segment.start.cast())?, camera.undistort(&segment.end.cast())?);
     if !camera.is_distorted() {

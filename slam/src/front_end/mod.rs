@@ -1,4 +1,5 @@
-//! From an image to what the back end works on: keypoints and tracked line segments without lens distortion.
+//! Front end (feature extraction): from an image to keypoints and tracked line segments without lens
+//! distortion.
 
 mod line_stage;
 mod lines;
@@ -55,8 +56,8 @@ impl FrontEnd {
         scale::resize_area(&image, width, height)
     }
 
-    /// Keypoints and lines of an image of the working size, looked for beside each other unless all is to be inline.
-    /// `now_from_last` is the rotation since the last image, as far as it is known.
+    /// Keypoints and lines of an image of the working size, looked for beside each other unless all is to be
+    /// inline. `now_from_last` is the rotation since the last image, as far as it is known.
     pub fn extract(
         &mut self,
         image: &Arc<GrayImage>,

@@ -3,11 +3,11 @@
 use crate::features::FrameFeatures;
 use vision::matching::{RotationConsistency, STRICT_DISTANCE};
 
-/// Best match's distance as a share of the second best's. [ALGORITHMS 7.2]
+/// Best match's distance as a share of the second best's. [method: Two-view initialization]
 const RATIO: f32 = 0.9;
 
-/// Keypoints of the first view with their counterparts in the second: mutual best matches of the same level within a
-/// window, whose change of orientation is like the others'.
+/// Keypoints of the first view with their counterparts in the second: mutual best matches of the same level
+/// within a window, whose change of orientation is like the others'.
 pub(super) fn match_views(
     first: &FrameFeatures,
     second: &FrameFeatures,
@@ -51,7 +51,8 @@ pub(super) fn match_views(
     pairs.into_iter().filter(|pair| dominant.accepts(change(pair))).collect()
 }
 
-/// Keypoints sorted by level: a window of this size holds so many that scanning a level is quicker than a grid.
+/// Keypoints sorted by level: a window of this size holds so many that scanning a level is quicker than a
+/// grid.
 struct Levels {
     by_octave: Vec<Vec<LevelEntry>>,
 }

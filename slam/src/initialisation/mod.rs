@@ -1,5 +1,5 @@
-//! Making the first map: two views far enough apart, a motion between them that nothing else explains, and a third
-//! view that agrees.
+//! Map initialization (two-view bootstrap): two views far enough apart, a motion between them that nothing
+//! else explains, and a third view that agrees.
 
 mod correspondence;
 mod matching;
@@ -70,7 +70,8 @@ impl Initialiser {
         attempt
     }
 
-    /// Keeps a view. When there are too many every second one goes, so that a slow camera can still look far back.
+    /// Keeps a view. When there are too many every second one goes, so that a slow camera can still look far
+    /// back.
     fn keep(&mut self, view: View) {
         if self.views.len() >= self.config.max_reference_views {
             let mut position = 0;
@@ -82,7 +83,8 @@ impl Initialiser {
         self.views.push_back(view);
     }
 
-    /// Tries pairs from the widest baseline to shorter ones: the widest beside the others, unless all is to be inline.
+    /// Tries pairs from the widest baseline to shorter ones: the widest beside the others, unless all is to
+    /// be inline.
     fn attempt(&mut self, view: &View) -> Result<InitialPair, InitialisationWait> {
         let mut wait = InitialisationWait::FirstView;
         let mut oldest_matches = Vec::new();
@@ -153,15 +155,16 @@ impl Initialiser {
         self.confirm(pair, rng)
     }
 
-    /// How well the direction of motion must be known. A camera that has moved for long without a good pair will hardly
-    /// offer a better one, so less is asked for with time.
+    /// How well the direction of motion must be known. A camera that has moved for long without a good pair
+    /// will hardly offer a better one, so less is asked for with time.
     fn max_direction_sigma_deg(&self) -> f64 {
         let patience = self.config.patience_views.max(1) as f64;
         let relaxation = 1.0 + self.n_waited as f64 / patience;
         self.config.max_direction_sigma_deg * relaxation.min(MAX_RELAXATION)
     }
 
-    /// A further view must see the points where the motion puts them: one between the two, or else one before them.
+    /// A further view must see the points where the motion puts them: one between the two, or else one before
+    /// them.
     fn confirm(&self, pair: InitialPair, rng: &mut ChaCha8Rng) -> Result<InitialPair, InitialisationWait> {
         let inside =
             |view: &&View| view.sequence > pair.first.sequence && view.sequence < pair.second.sequence;
@@ -206,8 +209,8 @@ fn more_telling(a: InitialisationWait, b: InitialisationWait) -> InitialisationW
     if rank(&b) > rank(&a) { b } else { a }
 }
 
-/// Bundle adjustment of the two views, points that disagree left out, and the median depth as the unit of length. Also returns
-/// the standard deviation of the direction of motion, degrees.
+/// Bundle adjustment of the two views, points that disagree left out, and the median depth as the unit of
+/// length. Also returns the standard deviation of the direction of motion, degrees.
 fn refine(
     first: &View,
     second: &View,

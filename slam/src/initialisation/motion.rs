@@ -1,14 +1,16 @@
-//! Rotation and direction of motion that agree best with the matches, looked for from many starts.
+//! Relative pose refinement: rotation and direction of translation that agree best with the matches, from
+//! many starts.
 //!
-//! Over a short baseline turning and moving sideways look alike, and a nearly planar scene has a second motion that
-//! explains it: the cost has several minima, and a search from one start may end in a wrong one.
+//! Over a short baseline turning and moving sideways look alike, and a nearly planar scene has a second
+//! motion that explains it: the cost has several minima, and a search from one start may end in a wrong one.
 
 use super::correspondence::Correspondence;
 use geometry::nalgebra::{Matrix1, SMatrix, SVector, UnitQuaternion, Vector1, Vector3};
 use geometry::{Direction, Pose, so3};
 use optim::{Factor, Kernel, Linearized, Manifold, SingleOptions, UnaryGroup, optimize_single};
 
-/// Directions of motion tried from a rotation, spread evenly over a half sphere (the sign does not matter here).
+/// Directions of motion tried from a rotation, spread evenly over a half sphere (the sign does not matter
+/// here).
 const N_DIRECTIONS: usize = 16;
 /// Matches that take part in the search, evenly picked; all of them judge the result.
 const N_SEARCH_MATCHES: usize = 150;
@@ -60,11 +62,12 @@ impl Manifold for RelativeMotion {
     }
 }
 
-/// Distance of a match from the epipolar constraint, to first order and in standard deviations [Sampson 1982].
+/// Distance of a match from the epipolar constraint, to first order and in standard deviations [Sampson
+/// 1982].
 ///
-/// `r(R, d) = b·(d × R a) / s`, with `a`, `b` the homogeneous normalised coordinates in the two views and `s` the
-/// standard deviation that their noise gives the numerator. The derivative takes `s` as constant, which is exact where
-/// `r` vanishes.
+/// `r(R, d) = b·(d × R a) / s`, with `a`, `b` the homogeneous normalised coordinates in the two views and `s`
+/// the standard deviation that their noise gives the numerator. The derivative takes `s` as constant, which
+/// is exact where `r` vanishes.
 #[derive(Clone, Copy, Debug)]
 struct SampsonFactor {
     correspondence: Correspondence,
@@ -111,7 +114,8 @@ impl Factor for SampsonFactor {
     }
 }
 
-/// The minima of the cost reached from the given motions, and from their first one's rotation with every direction.
+/// The minima of the cost reached from the given motions, and from their first one's rotation with every
+/// direction.
 pub(super) fn minima(starts: &[RelativeMotion], correspondences: &[Correspondence]) -> Vec<RelativeMotion> {
     let step = correspondences.len().div_ceil(N_SEARCH_MATCHES).max(1);
     let factors: Vec<SampsonFactor> =

@@ -9,8 +9,8 @@ use geometry::ransac::RansacConfig;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 
-/// Places the third view by the pair's points. Returns how many of the points found in it agree with the pose, and
-/// how many were found.
+/// Places the third view by the pair's points. Returns how many of the points found in it agree with the
+/// pose, and how many were found.
 pub(super) fn confirm(
     pair: &InitialPair,
     third: &View,

@@ -1,4 +1,4 @@
-//! The motion between two views from their matches alone, whether the scene is planar or not.
+//! Two-view relative pose by essential matrix and homography, whether the scene is planar or not.
 
 use super::correspondence::Correspondence;
 use super::motion::{self, RelativeMotion};
@@ -12,7 +12,8 @@ use geometry::{Pose, so3, triangulation, two_view};
 use optim::chi2_95;
 use rand_chacha::ChaCha8Rng;
 
-/// A triangulated point must reproject within this, squared standard deviations: two pixels at the finest level.
+/// A triangulated point must reproject within this, squared standard deviations: two pixels at the finest
+/// level.
 const MAX_REPROJECTION_CHI2: f64 = 4.0;
 /// The parallax that counts is that of the point of this rank.
 const PARALLAX_RANK: usize = 50;
@@ -30,8 +31,9 @@ pub(super) struct TwoViewMotion {
 
 /// Finds the motion, or says why there is none.
 ///
-/// Both models give starts of a search for the minima of the cost over all matches, and the least minimum wins. A planar scene has two motions that explain it nearly equally well over a short baseline: then
-/// the pair is ambiguous.
+/// Both models give starts of a search for the minima of the cost over all matches, and the least minimum
+/// wins. A planar scene has two motions that explain it nearly equally well over a short baseline: then the
+/// pair is ambiguous.
 pub(super) fn solve(
     first: &FrameFeatures,
     second: &FrameFeatures,
@@ -71,7 +73,8 @@ pub(super) fn solve(
     Ok(best)
 }
 
-/// Candidates that explain at least this share of the matches that the best one explains are starts of the search.
+/// Candidates that explain at least this share of the matches that the best one explains are starts of the
+/// search.
 const PROMISING_SHARE: f64 = 0.5;
 /// Starts of the search at most.
 const MAX_PROMISING: usize = 4;

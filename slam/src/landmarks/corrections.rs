@@ -1,4 +1,5 @@
-//! Moving keyframes with the landmarks that belong to them, as a loop closure or a global bundle adjustment says.
+//! Moving keyframes with the landmarks that belong to them, as a loop closure or a global bundle adjustment
+//! says.
 
 use crate::map::{KeyframeId, LineId, Map, PointId, PrimitiveId};
 use geometry::Similarity;

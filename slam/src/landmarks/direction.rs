@@ -1,11 +1,11 @@
-//! The direction that agrees best with the vanishing points of several key frames.
+//! Fusion of the vanishing points of several keyframes into one direction.
 
 use crate::map::{Keyframe, Map, PrimitiveObservation};
 use geometry::Direction;
 use geometry::nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2};
 
-/// Standard deviation of a key frame's attitude in the world, beside that of its vanishing point, radians: without it
-/// a single frame with many lines would outweigh all others.
+/// Standard deviation of a key frame's attitude in the world, beside that of its vanishing point, radians:
+/// without it a single frame with many lines would outweigh all others.
 const ATTITUDE_SIGMA_RAD: f64 = 0.3 * std::f64::consts::PI / 180.0;
 /// Rounds of linearisation: directions are close to begin with.
 const N_ROUNDS: usize = 2;
@@ -26,9 +26,9 @@ impl DirectionEstimate {
     }
 }
 
-/// Weighted fusion of vanishing directions in the world (paper, eq. 2): the weight of each is its information, which
-/// grows with the number and length of its segments, limited by how well the camera's attitude is known. Blind to the
-/// directions' signs.
+/// Weighted fusion of vanishing directions in the world [method: Fusion of vanishing directions]: the weight
+/// of each is its information, which grows with the number and length of its segments, limited by how well
+/// the camera's attitude is known. Blind to the directions' signs.
 pub(crate) fn estimate_direction(
     map: &Map,
     observations: impl Iterator<Item = PrimitiveObservation> + Clone,

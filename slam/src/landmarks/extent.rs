@@ -1,17 +1,17 @@
-//! Which part of an infinite line was seen. [ALGORITHMS 5.6]
+//! Line extent: which part of an infinite line was observed. [method: Line extent]
 
 use super::track_view::TrackView;
 use geometry::Line3;
 use geometry::nalgebra::{Vector2, Vector3};
 
-/// A viewing ray closer to the line's direction than this cosine (10 degrees) says nothing about where on the line its end
-/// is. Wider than the sensitivity test, which would otherwise never see the lines it is for.
+/// A viewing ray closer to the line's direction than this cosine (10 degrees) says nothing about where on the
+/// line its end is. Wider than the sensitivity test, which would otherwise never see the lines it is for.
 const MAX_RAY_COSINE: f64 = 0.985;
 /// Lines whose seen part is shorter than this share of their distance are points, not lines.
 const MIN_LENGTH_SHARE: f64 = 0.01;
 
-/// The ends of the part of a line that at least two views show, in the views' direction; `None` if there is none, or
-/// if it lies behind a camera that sees it.
+/// The ends of the part of a line that at least two views show, in the views' direction; `None` if there is
+/// none, or if it lies behind a camera that sees it.
 pub(crate) fn seen_part(line: &Line3, views: &[TrackView]) -> Option<[Vector3<f64>; 2]> {
     let (mut starts, mut ends) = (Vec::with_capacity(views.len()), Vec::with_capacity(views.len()));
     for view in views {
@@ -39,7 +39,8 @@ pub(crate) fn seen_part(line: &Line3, views: &[TrackView]) -> Option<[Vector3<f6
     is_seen.then_some(part)
 }
 
-/// The outermost value that a second view confirms, in the ascending (`sense` > 0: the least) or descending order.
+/// The outermost value that a second view confirms, in the ascending (`sense` > 0: the least) or descending
+/// order.
 fn agreed_end(values: &mut [f64], sense: f64) -> Option<f64> {
     values.sort_by(|a, b| (a * sense).total_cmp(&(b * sense)));
     values.get(1).or(values.first()).copied()

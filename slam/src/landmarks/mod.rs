@@ -1,5 +1,5 @@
-//! What bundle adjustment, loop closing and mapping share about landmarks: the views of a line, its seen extent, the
-//! fused direction of a global primitive, visibility counts, and corrections.
+//! What bundle adjustment, loop closing and mapping share about landmarks: the views of a line, its seen
+//! extent, the fused direction of a global primitive, visibility counts, and corrections.
 
 mod corrections;
 mod direction;

@@ -1,4 +1,5 @@
-//! The similarity between what a key frame sees and a place it may show, from points that are in the map twice.
+//! Sim(3) alignment with a loop candidate: the similarity between what a keyframe sees and the candidate,
+//! from points that are in the map twice.
 
 use super::Place;
 use crate::bundle::factors::{PlacedSighting, SimilarityReprojectionFactor};
@@ -13,9 +14,10 @@ use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use vision::matching::STRICT_DISTANCE;
 
-/// Largest squared error of a point in either view, in standard deviations: the 99 % point for two dimensions.
+/// Largest squared error of a point in either view, in standard deviations: the 99 % point for two
+/// dimensions.
 pub(super) const MAX_SQUARED_ERROR: f64 = 9.21;
-/// Key frames of the place whose points are matched by looks alone.
+/// Keyframes of the place whose points are matched by descriptors alone.
 const N_MATCHED_KEYFRAMES: usize = 6;
 /// A place with fewer matches than this share of those needed is given up after its first key frame.
 const MIN_FIRST_SHARE: f64 = 0.4;

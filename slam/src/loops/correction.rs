@@ -1,5 +1,5 @@
-//! Putting the map right once a place is recognised: the surroundings move onto the place, landmarks that are in the map
-//! twice are joined, and the rest of the map follows.
+//! Loop correction and map merging: the surroundings move onto the recognized place, duplicate landmarks are
+//! fused, and the rest of the map follows.
 
 use super::essential_graph::{self, LoopEdge};
 use super::{Place, Recognition};
@@ -71,7 +71,8 @@ pub(super) fn merge(
     join_landmarks(map, &recognition.place, recognition.current, config);
 }
 
-/// Joins the points of a place with those of a key frame and its neighbours, which are in the right place by now.
+/// Joins the points of a place with those of a key frame and its neighbours, which are in the right place by
+/// now.
 pub(super) fn join_landmarks(map: &mut Map, place: &Place, current: KeyframeId, config: &SlamConfig) {
     let window = window_around(map, current);
     for id in &window {
@@ -109,8 +110,8 @@ fn outward_edges(map: &Map, window: &BTreeSet<KeyframeId>) -> BTreeSet<(Keyframe
         .collect()
 }
 
-/// Moves the window with the landmarks only it sees; what the place sees stays. Returns which landmarks now move with
-/// which side.
+/// Moves the window with the landmarks only it sees; what the place sees stays. Returns which landmarks now
+/// move with which side.
 fn move_window(
     map: &mut Map,
     window: &BTreeSet<KeyframeId>,

@@ -1,11 +1,11 @@
-//! Places that look like a new key frame, though the map does not know yet that they are near.
+//! Loop detection: keyframes that look like a new one and are not covisible with it.
 
 use crate::config::LoopConfig;
 use crate::map::{KeyframeId, Map};
 use crate::places::KeyframePlaces;
 use std::collections::BTreeSet;
 
-/// Learns the key frames' looks and finds those that are alike.
+/// Indexes the keyframes' descriptors and finds those that are alike.
 #[derive(Debug, Default)]
 pub(super) struct Detector {
     places: KeyframePlaces,
@@ -18,7 +18,8 @@ impl Detector {
         let Some(keyframe) = map.keyframe(id) else { return Vec::new() };
         let around = surroundings(map, id);
         let descriptors = &keyframe.features.descriptors;
-        // How alike two views of the same place are depends on the place: the key frames next to this one tell.
+        // How alike two views of the same place are depends on the place: the key frames next to this one
+        // tell.
         let is_neighbour = |other| other != id && around.contains(&other);
         let familiar =
             self.places.most_similar(descriptors, 1, is_neighbour).first().map_or(0.0, |place| place.score);

@@ -1,4 +1,5 @@
-//! Spreading what a loop has shown over the whole submap: a pose graph over similarities. [ALGORITHMS 7.6]
+//! Pose-graph optimization over the essential graph, which spreads a loop's correction over the submap by
+//! similarities. [method: Loop detection and correction]
 
 use crate::bundle::factors::RelativeSimilarityFactor;
 use crate::config::LoopConfig;
@@ -8,8 +9,8 @@ use geometry::Similarity;
 use optim::{Kernel, Problem, SolverOptions};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Standard deviations of what one key frame drifts against the next: attitude (radians), place (share of the scene's
-/// depth) and scale (logarithm). Only their ratios matter; scale drifts most with one camera.
+/// Standard deviations of what one key frame drifts against the next: attitude (radians), place (share of the
+/// scene's depth) and scale (logarithm). Only their ratios matter; scale drifts most with one camera.
 const DRIFT_SIGMAS: [f64; 3] = [0.002, 0.003, 0.006];
 /// Key frames whose numbers are at least this far apart see the same because a loop was closed there.
 const LOOP_SEPARATION: u64 = 20;
@@ -24,9 +25,9 @@ pub(super) struct LoopEdge {
     pub j_from_i: Similarity,
 }
 
-/// Optimises the poses of a submap's key frames, given as `camera_from_world` with a scale: as they were `measured`
-/// along the way, and where the optimisation starts, which is where the map's landmarks are. Returns how each key
-/// frame's part of the world is moved by the result.
+/// Optimises the poses of a submap's key frames, given as `camera_from_world` with a scale: as they were
+/// `measured` along the way, and where the optimisation starts, which is where the map's landmarks are.
+/// Returns how each key frame's part of the world is moved by the result.
 pub(super) fn optimise(
     map: &Map,
     measured: &BTreeMap<KeyframeId, Similarity>,
@@ -80,14 +81,16 @@ pub(super) fn edges(
     essential_edges(&ties, config)
 }
 
-/// What the essential graph is chosen by: a key frame's place in the spanning tree and what it shares with others.
+/// What the essential graph is chosen by: a key frame's place in the spanning tree and what it shares with
+/// others.
 #[derive(Clone, Copy, Debug)]
 pub struct KeyframeTies<'a> {
     /// The key frame.
     pub id: KeyframeId,
     /// The key frame it hangs on in the spanning tree.
     pub parent: Option<KeyframeId>,
-    /// Key frames with which it shares points and lines and how many, most first; see [`Keyframe::covisible`].
+    /// Key frames with which it shares points and lines and how many, most first; see
+    /// [`Keyframe::covisible`].
     pub covisible: &'a [(KeyframeId, u32)],
 }
 
@@ -98,9 +101,10 @@ impl<'a> KeyframeTies<'a> {
     }
 }
 
-/// The essential graph of a submap's key frames: spanning tree, strong ties, and ties across time that earlier loops have
-/// left. The latter can be told by the numbers of the key frames, so nothing needs to be stored of them. Pairs of which
-/// one is not among the key frames given are left out; the lower id comes first.
+/// The essential graph of a submap's key frames: spanning tree, strong ties, and ties across time that
+/// earlier loops have left. The latter can be told by the numbers of the key frames, so nothing needs to be
+/// stored of them. Pairs of which one is not among the key frames given are left out; the lower id comes
+/// first.
 pub fn essential_edges(
     keyframes: &[KeyframeTies],
     config: &LoopConfig,

@@ -1,9 +1,8 @@
-//! Recognising places seen before: loops within a submap are closed, submaps that meet are merged. [ALGORITHMS 7.6]
-//!
-//! Each new key frame is compared with the map by its looks ([`detection`]). A place that looks alike must be confirmed by
-//! geometry: a similarity that carries the new key frame's surroundings onto the place ([`alignment`]), with which the key
-//! frame and its neighbours find the place's points ([`verification`]). Then the map is put right ([`correction`],
-//! [`essential_graph`]).
+//! Loop closing and map merging: loops within a submap are closed, submaps that meet are merged.
+//! [method: Loop detection and correction] Each new keyframe is compared with the map by its descriptors
+//! ([`detection`]). A place that looks alike must be confirmed by geometry: a similarity that carries the new
+//! key frame's surroundings onto the place ([`alignment`]), with which the key frame and its neighbours find
+//! the place's points ([`verification`]). Then the map is corrected ([`correction`], [`essential_graph`]).
 
 mod alignment;
 mod correction;
@@ -25,8 +24,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
 
-/// Shift as a share of the scene's depth, turn in radians, and logarithm of the scale below which a correction is only
-/// a matter of joining landmarks: what bundle adjustment does to a map anyway.
+/// Shift as a share of the scene's depth, turn in radians, and logarithm of the scale below which a
+/// correction is only a matter of joining landmarks: what bundle adjustment does to a map anyway.
 const NEGLIGIBLE: (f64, f64, f64) = (0.01, 0.005, 0.01);
 
 /// A place that a key frame was found to show.

@@ -1,5 +1,5 @@
-//! Loops on maps made by hand: a ring of cameras that look outwards at a wall, walked a little more than once, in a map that
-//! drifted on the way.
+//! Loops on maps made by hand: a ring of cameras that look outwards at a wall, walked a little more than
+//! once, in a map that drifted on the way.
 
 use super::*;
 use crate::bundle::global;

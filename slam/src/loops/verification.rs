@@ -1,5 +1,5 @@
-//! Whether a place that geometry fits is the place: what the neighbours see, where the world's directions point, and
-//! whether drift can explain the difference.
+//! Loop verification: what the neighbors see, where the world's directions point, and whether drift can
+//! explain the difference.
 
 use super::Place;
 use super::alignment::{MAX_SQUARED_ERROR, camera_from_place, find_place_points};
@@ -11,9 +11,11 @@ use geometry::{Direction, Similarity};
 
 /// Neighbours of the new key frame that are asked, most shared points first.
 const N_ASKED_NEIGHBOURS: usize = 6;
-/// Axes farther apart than this have nothing to do with one another, degrees: one side does not show the other's.
+/// Axes farther apart than this have nothing to do with one another, degrees: one side does not show the
+/// other's.
 const UNRELATED_DEG: f64 = 15.0;
-/// Shift that is always allowed, as a share of the scene's depth: the way since a place was seen may be short.
+/// Shift that is always allowed, as a share of the scene's depth: the way since a place was seen may be
+/// short.
 const FREE_SHIFT: f64 = 0.2;
 
 /// How many points of the place the key frame finds, if everything speaks for the place.
@@ -95,8 +97,8 @@ fn n_visible(
     n_visible.min(keyframe.features.len())
 }
 
-/// Whether drift since the place was seen can be as large as the correction. Two places that look alike differ by the
-/// whole way between them.
+/// Whether drift since the place was seen can be as large as the correction. Two places that look alike
+/// differ by the whole way between them.
 fn is_drift(
     map: &Map,
     current: &Keyframe,
@@ -119,7 +121,8 @@ fn is_drift(
         && place_from_current.scale.ln().abs() <= config.max_scale_change.ln()
 }
 
-/// Whether the directions of the world seen on both sides fall on one another. Nothing to compare is no objection.
+/// Whether the directions of the world seen on both sides fall on one another. Nothing to compare is no
+/// objection.
 fn directions_agree(
     map: &Map,
     current: &Keyframe,

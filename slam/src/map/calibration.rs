@@ -1,12 +1,13 @@
-//! The camera of a map, as far as the session knows it better than its calibration.
+//! Intrinsics of a map, as refined by self-calibration.
 
 use super::{Keyframe, KeyframeId, Map};
 use geometry::PinholeCorrection;
 use std::sync::Arc;
 
 impl Map {
-    /// Takes over how the camera differs from its calibration. Pixels stay as they are; the rays of all key frames change,
-    /// and with them the directions of their vanishing points. Poses and landmarks are left as they are.
+    /// Takes over how the camera differs from its calibration. Pixels stay as they are; the rays of all key
+    /// frames change, and with them the directions of their vanishing points. Poses and landmarks are left as
+    /// they are.
     pub(crate) fn set_correction(&mut self, correction: PinholeCorrection) {
         let before = std::mem::replace(&mut self.correction, correction);
         if before == correction {

@@ -100,7 +100,8 @@ pub struct FramePose {
     pub camera_from_reference: Pose,
 }
 
-/// A consistent state of the map, with what differs from the update before. Made to be stored in one transaction.
+/// A consistent state of the map, with what differs from the update before. Made to be stored in one
+/// transaction.
 #[derive(Clone, Debug)]
 pub struct MapUpdate {
     /// The whole map; cheap to hold, shares everything unchanged with other updates.

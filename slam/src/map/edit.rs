@@ -41,8 +41,8 @@ impl Map {
         self.keyframes.insert(id.index(), keyframe);
     }
 
-    /// Takes a key frame out, with its observations. Frames and key frames that hang on it hang on `anchor` from
-    /// now on. Points left with fewer than two observations go too.
+    /// Takes a key frame out, with its observations. Frames and key frames that hang on it hang on `anchor`
+    /// from now on. Points left with fewer than two observations go too.
     pub(crate) fn remove_keyframe(&mut self, id: KeyframeId, anchor: KeyframeId) {
         let Some(anchor_from_world) = self.keyframe(anchor).map(|keyframe| keyframe.camera_from_world) else {
             return;
@@ -233,8 +233,8 @@ impl Map {
         }
     }
 
-    /// Adds to how often points should have been visible and were found. Not worth a row of its own in the store:
-    /// it is written when the point changes otherwise.
+    /// Adds to how often points should have been visible and were found. Not worth a row of its own in the
+    /// store: it is written when the point changes otherwise.
     pub(crate) fn count_sightings(&mut self, id: PointId, n_visible: u32, n_found: u32) {
         if let Some(point) = self.points.get_mut(id.index()) {
             point.n_visible = point.n_visible.saturating_add(n_visible);
@@ -368,7 +368,8 @@ impl PointSummary {
     }
 }
 
-/// Mean viewing direction, and the distances at which the pyramid still holds the scale the point was seen at.
+/// Mean viewing direction, and the distances at which the pyramid still holds the scale the point was seen
+/// at.
 fn view_geometry(map: &Map, point: &PointLandmark) -> Option<(Vector3<f64>, (f64, f64))> {
     let mut direction_sum = Vector3::zeros();
     for seen in &point.observations {

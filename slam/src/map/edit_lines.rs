@@ -24,7 +24,8 @@ impl LinePlace {
 }
 
 impl Map {
-    /// Makes a line seen by the given segments; `None` if fewer than two of them are free or the place is not finite.
+    /// Makes a line seen by the given segments; `None` if fewer than two of them are free or the place is not
+    /// finite.
     pub(crate) fn add_line(
         &mut self,
         place: &LinePlace,
@@ -127,7 +128,8 @@ impl Map {
         }
     }
 
-    /// Adds to how often lines should have been visible and were found. Written when the line changes otherwise.
+    /// Adds to how often lines should have been visible and were found. Written when the line changes
+    /// otherwise.
     pub(crate) fn count_line_sightings(&mut self, id: LineId, n_visible: u32, n_found: u32) {
         if let Some(line) = self.lines.get_mut(id.index()) {
             line.n_visible = line.n_visible.saturating_add(n_visible);

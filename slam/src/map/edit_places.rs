@@ -1,14 +1,16 @@
-//! Moving parts of a map by similarities, and finding what hangs on what was moved.
+//! Sim(3) corrections of parts of a map, and what is anchored to what was moved.
 //!
-//! A correction may change the scale of a part of the map. Frames of the trajectory are kept relative to key frames by
-//! others, and stay right because their offsets are in the key frame's own [unit](Keyframe::unit), which follows.
+//! A correction may change the scale of a part of the map. Frames of the trajectory are kept relative to key
+//! frames by others, and stay right because their offsets are in the key frame's own [unit](Keyframe::unit),
+//! which follows.
 
 use super::{FramePose, Keyframe, KeyframeId, LineId, LinePlace, Map, PointId, PrimitiveId, SubmapId};
 use geometry::nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use geometry::{Direction, Pose, Similarity};
 
 impl Map {
-    /// The submap and the pose, `camera_from_world`, of a frame that hangs on a key frame that is or was in the map.
+    /// The submap and the pose, `camera_from_world`, of a frame that hangs on a key frame that is or was in
+    /// the map.
     pub fn locate(&self, place: &FramePose) -> Option<(SubmapId, Pose)> {
         let (anchor, camera_from_anchor) = self.resolve(place.reference, place.camera_from_reference)?;
         Some((anchor.submap, camera_from_anchor * anchor.camera_from_world))
@@ -20,7 +22,8 @@ impl Map {
         Some(camera_from_anchor * anchor.camera_from_world)
     }
 
-    /// The key frame that is in the map and on which a key frame that is or was in the map hangs: itself if it is.
+    /// The key frame that is in the map and on which a key frame that is or was in the map hangs: itself if
+    /// it is.
     pub(crate) fn anchor_of(&self, id: KeyframeId) -> Option<&Keyframe> {
         self.resolve(id, Pose::identity()).map(|(anchor, _)| anchor)
     }
@@ -40,7 +43,8 @@ impl Map {
     fn resolve(&self, id: KeyframeId, camera_from_id: Pose) -> Option<(&Keyframe, Pose)> {
         let mut camera_from_current = camera_from_id;
         let mut current = id;
-        // An anchor is always older knowledge than what hangs on it, so the walk ends; the bound is for safety.
+        // An anchor is always older knowledge than what hangs on it, so the walk ends; the bound is for
+        // safety.
         for _ in 0..=self.removed_keyframes.len() {
             if let Some(keyframe) = self.keyframe(current) {
                 return Some((keyframe, in_unit(&camera_from_current, keyframe.unit)));
@@ -52,7 +56,8 @@ impl Map {
         None
     }
 
-    /// Moves a key frame as the world around it is moved by `after_from_before`. What is not finite is refused.
+    /// Moves a key frame as the world around it is moved by `after_from_before`. What is not finite is
+    /// refused.
     pub(crate) fn move_keyframe(&mut self, id: KeyframeId, after_from_before: &Similarity) {
         let Some(keyframe) = self.keyframe(id) else { return };
         let moved = Similarity::from_pose(&keyframe.camera_from_world) * after_from_before.inverse();
@@ -88,8 +93,8 @@ impl Map {
         self.set_line_place(id, &place);
     }
 
-    /// Turns a primitive to where the key frames that see it say, after these were moved. One that none sees is turned
-    /// by `otherwise`.
+    /// Turns a primitive to where the key frames that see it say, after these were moved. One that none sees
+    /// is turned by `otherwise`.
     pub(crate) fn realign_primitive(&mut self, id: PrimitiveId, otherwise: &Similarity) {
         let Some(primitive) = self.primitive(id) else { return };
         let seen = primitive.observations.iter().filter_map(|seen| {
@@ -137,8 +142,8 @@ impl Map {
         }
     }
 
-    /// Turns the spanning tree of a submap so that `root` is its root, and hangs that on `parent`, a key frame of
-    /// another tree.
+    /// Turns the spanning tree of a submap so that `root` is its root, and hangs that on `parent`, a key
+    /// frame of another tree.
     pub(crate) fn hang_tree(&mut self, root: KeyframeId, parent: KeyframeId) {
         let (mut current, mut new_parent) = (root, parent);
         // Each step goes one up in the old tree; the bound is for safety.

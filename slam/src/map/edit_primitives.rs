@@ -41,7 +41,8 @@ impl Map {
         Some(id)
     }
 
-    /// Enters that a vanishing point of a key frame shows a primitive. Nothing happens if either is taken or gone.
+    /// Enters that a vanishing point of a key frame shows a primitive. Nothing happens if either is taken or
+    /// gone.
     pub(crate) fn add_primitive_observation(&mut self, id: PrimitiveId, seen: PrimitiveObservation) -> bool {
         let vanishing = self
             .keyframe(seen.keyframe)
@@ -76,7 +77,8 @@ impl Map {
         self.leave_primitive_observation(id, keyframe_id);
     }
 
-    /// Takes a primitive out of the map, of every key frame that sees it and every line that has its direction.
+    /// Takes a primitive out of the map, of every key frame that sees it and every line that has its
+    /// direction.
     pub(crate) fn remove_primitive(&mut self, id: PrimitiveId) {
         let Some(primitive) = self.primitives.remove(id.index()) else { return };
         for seen in &primitive.observations {
@@ -91,8 +93,8 @@ impl Map {
         self.changes.removed_primitives.insert(id);
     }
 
-    /// Joins two primitives that are the same: `kept` takes over what `gone` was seen by. A key frame that shows both
-    /// keeps the first.
+    /// Joins two primitives that are the same: `kept` takes over what `gone` was seen by. A key frame that
+    /// shows both keeps the first.
     pub(crate) fn fuse_primitives(&mut self, kept: PrimitiveId, gone: PrimitiveId) {
         if kept == gone || self.primitive(kept).is_none() {
             return;
@@ -127,11 +129,12 @@ impl Map {
         self.lines().filter(|line| line.primitive == Some(id)).map(|line| line.id).collect()
     }
 
-    /// Whether a primitive of the submap ties views that share no landmarks. Only then does it say something of the whole that
-    /// the windows of local bundle adjustment, one after the other, were not told.
+    /// Whether a primitive of the submap ties views that share no landmarks. Only then does it say something
+    /// of the whole that the windows of local bundle adjustment, one after the other, were not told.
     pub(crate) fn primitives_tie_beyond_sight(&self, submap: SubmapId) -> bool {
         self.primitives().filter(|primitive| primitive.submap == submap).any(|primitive| {
-            // In the order in which the key frames were made: the ends are the least likely to share anything.
+            // In the order in which the key frames were made: the ends are the least likely to share
+            // anything.
             let ends = primitive.observations.first().zip(primitive.observations.last());
             let Some((first, last)) = ends.filter(|(first, last)| first.keyframe != last.keyframe) else {
                 return false;

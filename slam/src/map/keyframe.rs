@@ -19,8 +19,9 @@ pub struct Keyframe {
     pub timestamp_ns: i64,
     /// Pose; lengths in map units.
     pub camera_from_world: Pose,
-    /// Map units per unit in which the offsets of the frames that hang on this key frame are given. One, until a
-    /// correction changes the scale of the map around the key frame; handed on to the key frames made beside it.
+    /// Map units per unit in which the offsets of the frames that hang on this key frame are given. One,
+    /// until a correction changes the scale of the map around the key frame; handed on to the key frames made
+    /// beside it.
     pub unit: f64,
     /// What the front end measured; never changes.
     pub features: Arc<FrameFeatures>,
@@ -32,13 +33,14 @@ pub struct Keyframe {
     pub vanishing: Vec<VanishingObservation>,
     /// The key frame this one hangs on in the spanning tree; `None` for the first of a submap.
     pub parent: Option<KeyframeId>,
-    /// Key frames that share at least [`crate::MappingConfig::min_covisible_points`] points and lines with this one,
-    /// with how many, most first. Derived from the observations.
+    /// Key frames that share at least [`crate::MappingConfig::min_covisible_points`] points and lines with
+    /// this one, with how many, most first. Derived from the observations.
     pub(crate) covisible: Vec<(KeyframeId, u32)>,
 }
 
 impl Keyframe {
-    /// A key frame of stored parts that sees no landmark yet: fill `points`, `lines` and `vanishing` afterwards.
+    /// A key frame of stored parts that sees no landmark yet: fill `points`, `lines` and `vanishing`
+    /// afterwards.
     pub fn from_parts(
         id: KeyframeId,
         submap: SubmapId,
@@ -94,7 +96,7 @@ pub struct RemovedKeyframe {
     pub id: KeyframeId,
     /// The key frame its pose now hangs on, which may have been removed later itself.
     pub anchor: KeyframeId,
-    /// The removed key frame's pose relative to the anchor's at the time of removal, in the anchor's own unit. Only
-    /// key frames of (nearly) the same unit hang on one another this way.
+    /// The removed key frame's pose relative to the anchor's at the time of removal, in the anchor's own
+    /// unit. Only key frames of (nearly) the same unit hang on one another this way.
     pub camera_from_anchor: Pose,
 }

@@ -1,4 +1,4 @@
-//! Line landmarks.
+//! Map lines.
 
 use super::ids::{KeyframeId, LineId, PrimitiveId, SubmapId};
 use super::point::Observation;
@@ -15,8 +15,8 @@ pub struct LineLandmark {
     pub submap: SubmapId,
     /// The infinite line in the world, in Plücker coordinates, map units.
     pub line: Line3,
-    /// The ends of the part that was seen, on the line; map units, world. The line's direction leads from the first to
-    /// the second, and the brighter side is to the right of that way in the images that see it.
+    /// The ends of the part that was seen, on the line; map units, world. The line's direction leads from the
+    /// first to the second, and the brighter side is to the right of that way in the images that see it.
     pub endpoints: [Vector3<f64>; 2],
     /// The descriptor that is closest to all the observed ones.
     pub descriptor: Descriptor,

@@ -61,7 +61,8 @@ impl Map {
         }
     }
 
-    /// Whether everything refers to things that exist, both sides of each observation agree, and all is finite.
+    /// Whether everything refers to things that exist, both sides of each observation agree, and all is
+    /// finite.
     ///
     /// # Errors
     /// The first thing that is wrong.

@@ -1,4 +1,4 @@
-//! Point landmarks.
+//! Map points.
 
 use super::ids::{KeyframeId, PointId, SubmapId};
 use geometry::nalgebra::Vector3;

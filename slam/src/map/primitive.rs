@@ -11,7 +11,8 @@ pub struct VanishingObservation {
     pub direction: Vector3<f64>,
     /// Covariance of the direction, of rank two across it, radians squared.
     pub covariance: Matrix3<f64>,
-    /// The supporting segments: indices into the key frame's [`lines`](crate::features::FrameFeatures::lines).
+    /// The supporting segments: indices into the key frame's
+    /// [`lines`](crate::features::FrameFeatures::lines).
     pub segments: Vec<u32>,
     /// The global primitive it belongs to, once known.
     pub primitive: Option<PrimitiveId>,
@@ -26,7 +27,7 @@ pub struct PrimitiveObservation {
     pub vanishing_idx: u32,
 }
 
-/// A direction of the world shared by key frames, whether or not they overlap. Paper, "Global Primitives".
+/// A direction of the world shared by key frames, whether or not they overlap. [method: Global primitives]
 #[derive(Clone, Debug, PartialEq)]
 pub struct GlobalPrimitive {
     /// Identity within the session.

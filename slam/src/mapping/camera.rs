@@ -1,4 +1,4 @@
-//! Keeping an eye on the camera: when it is looked at whether its calibration is true, and what comes of it.
+//! Self-calibration: when the intrinsics are checked against the images, and what comes of it.
 
 use crate::bundle::calibration::{Doubt, Verdict, examine};
 use crate::bundle::global::{GlobalResult, adjust_to_camera};
@@ -31,8 +31,8 @@ impl CameraWatch {
         Self { next_keyframes: config.min_keyframes, doubt: None, is_over: false }
     }
 
-    /// The submap by which the camera is to be looked at now, if it is; `share` of the planned key frames will do. Only while
-    /// the map is in one piece: another piece would not be adjusted with it.
+    /// The submap by which the camera is to be looked at now, if it is; `share` of the planned key frames
+    /// will do. Only while the map is in one piece: another piece would not be adjusted with it.
     pub fn is_due(&mut self, map: &Map, share: f64, config: &CalibrationConfig) -> Option<SubmapId> {
         let n_keyframes = map.n_keyframes();
         let n_required = (self.next_keyframes as f64 * share).max(config.min_keyframes as f64);
@@ -63,7 +63,8 @@ impl CameraWatch {
     }
 }
 
-/// Looks at the camera and, if it is another than was thought, adjusts the submap to it. `None` if `abort` was set meanwhile.
+/// Looks at the camera and, if it is another than was thought, adjusts the submap to it. `None` if `abort`
+/// was set meanwhile.
 pub(super) fn look(
     map: &Map,
     submap: SubmapId,

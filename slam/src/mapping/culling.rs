@@ -1,4 +1,5 @@
-//! Taking out what does not earn its place: points nobody finds again, key frames that show nothing of their own.
+//! Map-point and keyframe culling: points that are not found again, keyframes whose landmarks others see as
+//! well.
 
 use crate::config::{MappingConfig, SlamConfig};
 use crate::map::{Keyframe, KeyframeId, Map, PointId};
@@ -7,7 +8,8 @@ use crate::map::{Keyframe, KeyframeId, Map, PointId};
 const MIN_OBSERVATIONS: usize = 3;
 /// Key frames other than the judged one that must see a point for it to count as redundant.
 const N_REDUNDANT_OBSERVERS: usize = 3;
-/// Largest difference between the units of a culled key frame and of the one that takes its place, as a logarithm.
+/// Largest difference between the units of a culled key frame and of the one that takes its place, as a
+/// logarithm.
 const MAX_UNIT_STEP: f64 = 0.05;
 /// Key frames of a submap that are never culled, counted from the newest: they carry the tracking.
 const N_PROTECTED: u64 = 2;
@@ -32,7 +34,8 @@ pub(super) fn cull_recent_points(
     });
 }
 
-/// Takes out key frames near the new one whose points others see just as well, and keeps the map below its cap.
+/// Takes out key frames near the new one whose points others see just as well, and keeps the map below its
+/// cap.
 pub(super) fn cull_keyframes(map: &mut Map, newest: KeyframeId, config: &SlamConfig) {
     let neighbours: Vec<KeyframeId> = map
         .keyframe(newest)
@@ -78,7 +81,8 @@ fn redundancy(map: &Map, keyframe: &Keyframe) -> f64 {
 fn is_protected(map: &Map, id: KeyframeId, newest: KeyframeId) -> bool {
     let keyframe = map.keyframe(id);
     let parent = keyframe.and_then(|keyframe| map.keyframe(keyframe.parent?));
-    // What hangs on a removed key frame is measured in its unit, so only one of the same unit can take its place.
+    // What hangs on a removed key frame is measured in its unit, so only one of the same unit can take its
+    // place.
     let same_unit =
         |keyframe: &Keyframe, parent: &Keyframe| (keyframe.unit / parent.unit).ln().abs() < MAX_UNIT_STEP;
     let is_held = !keyframe.zip(parent).is_some_and(|(keyframe, parent)| same_unit(keyframe, parent));

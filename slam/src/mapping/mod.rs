@@ -1,4 +1,4 @@
-//! Extending and tending the map, key frame by key frame.
+//! Local mapping: extending and maintaining the map, keyframe by keyframe.
 
 mod camera;
 mod culling;
@@ -30,7 +30,8 @@ use std::sync::atomic::AtomicBool;
 #[derive(Debug)]
 pub(crate) struct NewKeyframe {
     pub keyframe: Keyframe,
-    /// Where it is relative to its reference key frame. The map may be corrected before the key frame arrives in it.
+    /// Where it is relative to its reference key frame. The map may be corrected before the key frame arrives
+    /// in it.
     pub place: FramePose,
     /// How often points were seen since the key frame before.
     pub sightings: Sightings,
@@ -121,8 +122,8 @@ impl Mapper {
         self.update(Vec::new())
     }
 
-    /// Takes in a key frame: cull, triangulate, fuse, optimise, cull again. `publish` is shown the map as soon as it
-    /// has its new points, since tracking waits for them; `abort` cuts optimisation short.
+    /// Takes in a key frame: cull, triangulate, fuse, optimise, cull again. `publish` is shown the map as
+    /// soon as it has its new points, since tracking waits for them; `abort` cuts optimisation short.
     pub fn add_keyframe(
         &mut self,
         new: NewKeyframe,
@@ -168,8 +169,8 @@ impl Mapper {
         self.lines.take_judgements()
     }
 
-    /// Waits for the adjustment of the whole map that is under way, if any, and takes it over. Then looks at what only the
-    /// whole recording tells: the camera of a short one, and what primitives say of all of it.
+    /// Waits for the adjustment of the whole map that is under way, if any, and takes it over. Then looks at
+    /// what only the whole recording tells: the camera of a short one, and what primitives say of all of it.
     pub fn settle(&mut self) -> MapUpdate {
         self.take_over_global(true);
         // A short recording ends between two times of looking at the camera.
@@ -197,8 +198,9 @@ impl Mapper {
         self.take_over(done);
     }
 
-    /// Adjusts the submaps that grew, and whose primitives reach farther than sight, as a whole: until then each window knew
-    /// what primitives say of it, and held on to neighbours that had been placed knowing less.
+    /// Adjusts the submaps that grew, and whose primitives reach farther than sight, as a whole: until then
+    /// each window knew what primitives say of it, and held on to neighbours that had been placed knowing
+    /// less.
     fn adjust_by_primitives(&mut self) {
         let grown = std::mem::take(&mut self.grown);
         // A wrong camera bends the whole to suit itself; piece by piece it does less harm.

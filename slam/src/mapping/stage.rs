@@ -11,7 +11,8 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-/// Key frames that may wait for mapping. When it is full a lossless session waits, a real-time one makes no key frame.
+/// Key frames that may wait for mapping. When it is full a lossless session waits, a real-time one makes no
+/// key frame.
 const QUEUE_LENGTH: usize = 1;
 /// Updates that may wait to be fetched; beyond it the newest two are joined.
 const MAX_WAITING_UPDATES: usize = 16;
@@ -214,7 +215,8 @@ impl Shared {
             Request::Record(frames) => mapper.record(frames),
             Request::Settle => mapper.settle(),
             Request::Barrier(done) => {
-                // Whoever waits for mapping would see the camera change at one frame or the next, as chance has it.
+                // Whoever waits for mapping would see the camera change at one frame or the next, as chance
+                // has it.
                 if mapper.settle_camera() {
                     let update = mapper.record(Vec::new());
                     self.hand_out(mapper, update);

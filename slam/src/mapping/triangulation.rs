@@ -1,4 +1,5 @@
-//! New points from keypoints that two key frames see and no landmark explains. [ALGORITHMS 7.5]
+//! Triangulation of map points from keypoints that two keyframes see and no landmark explains.
+//! [method: Point triangulation]
 
 use super::neighbours;
 use crate::config::MappingConfig;
@@ -9,7 +10,8 @@ use geometry::{Pose, so3, triangulation};
 use optim::chi2_95;
 use vision::matching::{RotationConsistency, STRICT_DISTANCE};
 
-/// The ratio of a point's distances may differ from that of the levels it was found at by this times one level.
+/// The ratio of a point's distances may differ from that of the levels it was found at by this times one
+/// level.
 const SCALE_TOLERANCE: f64 = 1.5;
 /// Keypoints this near to the epipole constrain no depth, pixels of their level.
 const EPIPOLE_MARGIN_PX: f64 = 10.0;
@@ -83,7 +85,8 @@ impl<'a> PairSearch<'a> {
             * current.features.pinhole.inverse_matrix();
         let centre = neighbour_from_current.translation;
         let epipole = (centre.z > 0.0).then(|| neighbour.features.pinhole.project(&centre));
-        // Nearer than a tenth of the baseline is behind a finger; farther than the least parallax allows is noise.
+        // Nearer than a tenth of the baseline is behind a finger; farther than the least parallax allows is
+        // noise.
         let baseline = centre.norm();
         let depth_range = (0.1 * baseline, baseline / config.min_parallax_deg.to_radians() * 2.0);
         let free = (0..neighbour.features.len())
@@ -131,7 +134,8 @@ impl<'a> PairSearch<'a> {
         consistent.filter_map(|(a, b, _)| Some((a, b, self.triangulate(a, b)?))).collect()
     }
 
-    /// The unexplained keypoint of the neighbour that looks most alike, along the epipolar segment of a keypoint.
+    /// The unexplained keypoint of the neighbour that looks most alike, along the epipolar segment of a
+    /// keypoint.
     fn best_match(&self, current_idx: usize) -> Option<(u32, usize)> {
         let descriptor = &self.current.features.descriptors[current_idx];
         let pixel = &self.current.features.undistorted[current_idx];

@@ -6,7 +6,8 @@ use crate::map::{KeyframeId, Map, Observation, PointId};
 use optim::chi2_95;
 use vision::matching::STRICT_DISTANCE;
 
-/// Looks for points in a key frame: one already explained there is joined with what explains it, a free one seen.
+/// Looks for points in a key frame: one already explained there is joined with what explains it, a free one
+/// seen.
 pub(crate) fn fuse_into(map: &mut Map, points: &[PointId], target: KeyframeId, config: &SlamConfig) -> usize {
     let min_view_cosine = config.tracking.max_view_angle_deg.to_radians().cos();
     let mut n_fused = 0;
@@ -51,7 +52,8 @@ fn find_in_keyframe(
     let view =
         PredictedView::of(point, &keyframe.camera_from_world, &centre, &keyframe.features, min_view_cosine)?;
     let features = &keyframe.features;
-    // Keypoints that disagree with the projection are passed over, so that a neighbour of the right one cannot win.
+    // Keypoints that disagree with the projection are passed over, so that a neighbour of the right one
+    // cannot win.
     let disagrees = |idx: usize| {
         let sigma = features.sigma_px(idx);
         (features.undistorted[idx] - view.pixel).norm_squared() > chi2_95(2) * sigma * sigma

@@ -1,4 +1,5 @@
-//! Finding the map's lines among the segments of a view by where they should appear. [ALGORITHMS 3, 7.3]
+//! Finding the map's lines among the segments of a view by where they should appear.
+//! [method: Line tracking by optical flow; Pose from the last frame]
 
 use crate::config::LineConfig;
 use crate::features::{FrameFeatures, LineFeature};
@@ -7,11 +8,12 @@ use geometry::nalgebra::{Vector2, Vector3};
 use geometry::{Pinhole, Pose};
 use vision::GridBounds;
 
-/// Lines nearer to the camera's plane than this are cut off there, map units: the first map's median depth is 1.
+/// Lines nearer to the camera's plane than this are cut off there, map units: the first map's median depth
+/// is 1.
 const NEAR: f64 = 0.01;
 /// Shorter projections are not looked for, pixels: their direction is not determined.
 const MIN_PROJECTED_LENGTH_PX: f64 = 15.0;
-/// Pixels of distance across a line that weigh as much as one bit of difference in looks.
+/// Pixels of distance across a line that weigh as much as one bit of the descriptors' distance.
 const PIXELS_PER_BIT: f64 = 0.2;
 
 /// Where a line should appear in a view.
@@ -117,7 +119,8 @@ pub(crate) struct ExpectedLine<'a> {
     pub segment: PredictedSegment,
 }
 
-/// Pairs of segment and line that fit, best first, each used once. `is_free` says which segments may be given.
+/// Pairs of segment and line that fit, best first, each used once. `is_free` says which segments may be
+/// given.
 pub(crate) fn match_lines(
     expected: &[ExpectedLine<'_>],
     features: &FrameFeatures,

@@ -1,4 +1,5 @@
-//! Data association: landmarks found in a view by projection, by descriptor, and joined where they are the same.
+//! Data association: landmarks found in a view by projection, by descriptor, and joined where they are the
+//! same.
 
 mod fusion;
 mod lines;

@@ -1,4 +1,4 @@
-//! Finding landmarks in a frame: where they should be, and which keypoint there looks like them.
+//! Search by projection: landmarks in a frame, by predicted position and descriptor.
 
 use crate::features::FrameFeatures;
 use crate::map::{Keyframe, PointId, PointLandmark};
@@ -25,7 +25,8 @@ pub(crate) struct PredictedView {
 }
 
 impl PredictedView {
-    /// `None` if the point is behind the camera, outside the image, too near, too far, or seen too much from the side.
+    /// `None` if the point is behind the camera, outside the image, too near, too far, or seen too much from
+    /// the side.
     pub fn of(
         point: &PointLandmark,
         camera_from_world: &Pose,
@@ -55,7 +56,8 @@ impl PredictedView {
         Some(Self { pixel, octave, view_cosine })
     }
 
-    /// Where to look, pixels, if a radius of `radius_px` pixels of the level is right for views from the side.
+    /// Where to look, pixels, if a radius of `radius_px` pixels of the level is right for views from the
+    /// side.
     pub fn radius_px(&self, radius_px: f64, features: &FrameFeatures) -> f64 {
         let share = if self.view_cosine > FRONTAL_COSINE { FRONTAL_RADIUS_SHARE } else { 1.0 };
         radius_px * share * features.pyramid.scale(self.octave)
@@ -81,7 +83,8 @@ pub(crate) struct Window {
     pub max_distance: u32,
 }
 
-/// The keypoint in a window that looks most like a descriptor. Keypoints for which `taken` holds are passed over.
+/// The keypoint in a window that looks most like a descriptor. Keypoints for which `taken` holds are passed
+/// over.
 pub(crate) fn find_in_window(
     features: &FrameFeatures,
     descriptor: &Descriptor,
@@ -123,8 +126,8 @@ pub(crate) struct Expected<'a> {
     pub descriptor: &'a Descriptor,
 }
 
-/// Looks for points of one view in another by projecting them; matches whose change of orientation is unlike the
-/// others' are dropped. Returns how many were found; `points` takes them.
+/// Looks for points of one view in another by projecting them; matches whose change of orientation is unlike
+/// the others' are dropped. Returns how many were found; `points` takes them.
 pub(crate) fn search_by_motion<'a>(
     features: &FrameFeatures,
     camera_from_world: &Pose,
@@ -169,10 +172,12 @@ pub(crate) fn search_by_motion<'a>(
     n_found
 }
 
-/// Best match's distance as a share of the second best's, where nothing is known of the place. [ALGORITHMS 7.1]
+/// Best match's distance as a share of the second best's, where nothing is known of the place.
+/// [method: Descriptor matching]
 const UNGUIDED_RATIO: f32 = 0.75;
 
-/// Matches a key frame's points with a frame by descriptors alone. Returns `(keypoint of the frame, point)` pairs.
+/// Matches a key frame's points with a frame by descriptors alone. Returns `(keypoint of the frame, point)`
+/// pairs.
 pub(crate) fn match_keyframe(keyframe: &Keyframe, features: &FrameFeatures) -> Vec<(usize, PointId)> {
     let mut rotation = RotationConsistency::new();
     // Each keypoint of the frame is given to the most similar point that chose it.

@@ -80,7 +80,8 @@ impl Pipeline {
         self.mapping.take_updates()
     }
 
-    /// What mapping made of candidate lines since this was last called, oldest first; if that was long ago, the newest.
+    /// What mapping made of candidate lines since this was last called, oldest first; if that was long ago,
+    /// the newest.
     pub fn take_line_judgements(&mut self) -> Vec<LineJudgement> {
         self.mapping.take_line_judgements()
     }
@@ -103,8 +104,8 @@ impl Pipeline {
         self.mapping_enabled = enabled;
     }
 
-    /// How tracking waits for mapping: `true` (the default) lets it finish before each frame, while the frame's features are
-    /// looked for, and leaves no key frame out; `false` never waits.
+    /// How tracking waits for mapping: `true` (the default) lets it finish before each frame, while the
+    /// frame's features are looked for, and leaves no key frame out; `false` never waits.
     pub fn set_lossless(&mut self, lossless: bool) {
         self.lossless = lossless;
     }

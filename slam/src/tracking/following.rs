@@ -1,5 +1,6 @@
-//! The pose of a frame from that of the one before, in the order of how much each way takes for granted, and then from the
-//! local map. [ALGORITHMS 9]
+//! Tracking: the pose of a frame from that of the one before (motion model, reference keyframe, direct
+//! alignment, in the order of how much each assumes), then from the local map.
+//! [method: Pose from the last frame]
 
 use super::Tracker;
 use super::frame::TrackedFrame;
@@ -11,7 +12,8 @@ use geometry::Pose;
 use std::sync::Arc;
 use vision::GrayImage;
 
-/// A gap in time longer than this many frame intervals is not bridged by the motion model: half a second of video.
+/// A gap in time longer than this many frame intervals is not bridged by the motion model: half a second of
+/// video.
 const MAX_EXTRAPOLATION: f64 = 15.0;
 /// Frames after a relocalisation in which the local map is searched more widely, and how much.
 const WIDE_SEARCH_FRAMES: u64 = 10;
@@ -35,7 +37,8 @@ struct Followed {
 }
 
 impl Tracker {
-    /// By the motion so far, or, where little is found by that, by what the reference key frame sees or by the images.
+    /// By the motion so far, or, where little is found by that, by what the reference key frame sees or by
+    /// the images.
     pub(super) fn follow(&self, last: &LastFrame, view: &View, map: &Map) -> Option<TrackedFrame> {
         let predicted = last.predict(view.timestamp_ns);
         let mut frame = TrackedFrame::blank(view, predicted, last.frame.reference, last.frame.submap);
@@ -113,7 +116,8 @@ impl Tracker {
         (n_inliers >= n_required).then_some(Followed { frame, n_inliers })
     }
 
-    /// Finds more of what is near and places the frame by all of it. Returns how many points could have been found, too.
+    /// Finds more of what is near and places the frame by all of it. Returns how many points could have been
+    /// found, too.
     pub(super) fn track_local_map(&mut self, frame: &mut TrackedFrame, map: &Map) -> (Placement, usize) {
         let config = &self.config.tracking;
         if let Some(reference) = self.local_map.collect(map, frame, config) {
@@ -133,7 +137,8 @@ impl Tracker {
 }
 
 impl LastFrame {
-    /// The pose the motion so far leads to, for equal velocity over a frame interval that may differ from the last.
+    /// The pose the motion so far leads to, for equal velocity over a frame interval that may differ from the
+    /// last.
     pub fn predict(&self, timestamp_ns: i64) -> Pose {
         let Some((motion, interval_ns)) = &self.motion else { return self.frame.camera_from_world };
         // Both are negative when a recording is followed backwards.

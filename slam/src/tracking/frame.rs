@@ -17,7 +17,7 @@ pub(crate) struct Inliers {
 }
 
 impl Inliers {
-    /// A line bears a pose about as well as a point. [ALGORITHMS 7.3]
+    /// A line bears a pose about as well as a point. [method: Pose-only optimization]
     pub fn total(self) -> usize {
         self.n_points + self.n_lines
     }

@@ -1,13 +1,13 @@
-//! Whether a pose is to be believed.
+//! Pose quality: whether landmarks determine a pose, and whether enough of them agree.
 
 use super::pose::Placement;
 use crate::config::TrackingConfig;
 use crate::report::{LostReason, PoseUncertainty, TrackingOutcome};
 
-/// Whether enough landmarks agree with a pose, and whether they determine it. [ALGORITHMS 9]
+/// Whether enough landmarks agree with a pose, and whether they determine it. [method: Judging a pose]
 ///
-/// Few landmarks are enough in a place that has few, but where `n_expected` could have been found and hardly any was, the
-/// few agree by chance.
+/// Few landmarks are enough in a place that has few, but where `n_expected` could have been found and hardly
+/// any was, the few agree by chance.
 pub(super) fn judge(
     placement: &Placement,
     n_expected: usize,

@@ -1,4 +1,4 @@
-//! When a frame is worth keeping. [ALGORITHMS 7.4]
+//! Keyframe decision: when a frame becomes a keyframe. [method: Keyframe decision]
 
 use super::frame::{Inliers, TrackedFrame};
 use super::local_map::n_established_points;
@@ -7,7 +7,8 @@ use crate::map::{KeyframeId, Map, PointId};
 use geometry::nalgebra::Vector2;
 use std::collections::BTreeMap;
 
-/// A point counts as established when this many key frames see it, or fewer while the map is younger than that.
+/// A point counts as established when this many key frames see it, or fewer while the map is younger than
+/// that.
 const ESTABLISHED_OBSERVATIONS: usize = 3;
 /// Common points below which two views have so little in common that the one is news to the other.
 const MIN_COMMON_POINTS: usize = 15;
@@ -31,8 +32,8 @@ impl LastKeyframe {
         Self { timestamp_ns: frame.timestamp_ns, pixels, midpoints }
     }
 
-    /// Median distance that common points and segments moved in the image, as a share of its width; infinite with few in
-    /// common.
+    /// Median distance that common points and segments moved in the image, as a share of its width; infinite
+    /// with few in common.
     fn displacement(&self, frame: &TrackedFrame) -> f64 {
         let mut moved: Vec<f64> = frame
             .points
@@ -86,8 +87,9 @@ pub(super) fn wants_keyframe(
         || share < config.urgent_tracked_share && displacement > config.urgent_displacement
 }
 
-/// Whether points are few and lines could take over: enough segments have been followed since the last key frame that no
-/// line of the map explains, or many more segments are followed than then. [paper, "Keyframe Insertion"]
+/// Whether points are few and lines could take over: enough segments have been followed since the last key
+/// frame that no line of the map explains, or many more segments are followed than then.
+/// [method: Keyframe decision]
 fn lines_are_needed(
     config: &KeyframeConfig,
     frame: &TrackedFrame,

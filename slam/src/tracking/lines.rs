@@ -1,4 +1,5 @@
-//! Finding the map's lines among the segments of a view by the track a segment belongs to. [ALGORITHMS 3, 7.3]
+//! Finding the map's lines among the segments of a view by the track a segment belongs to.
+//! [method: Line tracking by optical flow; Pose from the last frame]
 
 use super::frame::TrackedFrame;
 use crate::config::LineConfig;
@@ -6,7 +7,8 @@ use crate::map::{Keyframe, LineId, Map};
 use crate::matching::PredictedSegment;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A segment of a known track may lie this many search radii from where its line is expected: the robust pose decides.
+/// A segment of a known track may lie this many search radii from where its line is expected: the robust pose
+/// decides.
 const TRACK_RADIUS_FACTOR: f64 = 4.0;
 /// Key frames, counted from the newest, whose segments tell which track sees which line.
 const N_TRACK_KEYFRAMES: usize = 5;

@@ -1,4 +1,4 @@
-//! The part of the map a frame can see: key frames that share its points, their neighbours, and what those see.
+//! Local map: keyframes that share points with a frame, their neighbors, and the landmarks those see.
 
 use super::frame::TrackedFrame;
 use crate::config::{LineConfig, TrackingConfig};
@@ -106,7 +106,8 @@ impl LocalMap {
         expected.iter().for_each(|expected| sightings.line_visible(expected.line.id));
     }
 
-    /// Looks for the points of the local map that the frame has not found yet. Returns how many it should see in all.
+    /// Looks for the points of the local map that the frame has not found yet. Returns how many it should see
+    /// in all.
     pub fn search(
         &mut self,
         map: &Map,

@@ -1,4 +1,4 @@
-//! Following the camera: motion model, reference key frame or relocalisation, then the local map.
+//! Tracking: motion model, reference keyframe, direct alignment or relocalization, then the local map.
 
 mod alignment;
 mod following;
@@ -70,7 +70,8 @@ pub(crate) struct Tracker {
 }
 
 impl Tracker {
-    /// A tracker that looks for a lost camera in the whole map. `working_camera` is that of the images it [is given](Self::set_image).
+    /// A tracker that looks for a lost camera in the whole map. `working_camera` is that of the images it [is
+    /// given](Self::set_image).
     ///
     /// # Errors
     /// If the configuration of the search for vanishing points cannot be used.

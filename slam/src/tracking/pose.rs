@@ -1,4 +1,5 @@
-//! The pose of one frame from the landmarks it sees, with wrong matches put aside. [ALGORITHMS 7.3]
+//! Pose-only optimization: the pose of one frame from the landmarks it observes, outliers left out.
+//! [method: Pose-only optimization]
 
 use super::frame::{Inliers, TrackedFrame};
 use crate::bundle::anchored_line::AnchoredLine;
@@ -30,8 +31,8 @@ pub(crate) struct Placement {
     pub uncertainty: PoseUncertainty,
 }
 
-/// Places a frame by the landmarks it was matched to and by the primitives its segments run along, and drops the matches
-/// that disagree.
+/// Places a frame by the landmarks it was matched to and by the primitives its segments run along, and drops
+/// the matches that disagree.
 pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map, config: &PrimitiveConfig) -> Placement {
     let (mut point_slots, mut points) = (Vec::with_capacity(frame.points.len()), Vec::new());
     for (feature_idx, slot) in frame.points.iter_mut().enumerate() {
@@ -92,7 +93,8 @@ fn direction_sightings(frame: &TrackedFrame, map: &Map, config: &PrimitiveConfig
     segments.filter_map(sighting).collect()
 }
 
-/// Standard deviations from the information on a pose, whose tangent is the turn, then the shift, of the camera.
+/// Standard deviations from the information on a pose, whose tangent is the turn, then the shift, of the
+/// camera.
 fn uncertainty_of(information: &Matrix6<f64>, depth: f64) -> PoseUncertainty {
     let Some(covariance) = information.try_inverse() else { return PoseUncertainty::UNDETERMINED };
     let worst = |corner: usize| {

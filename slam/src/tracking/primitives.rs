@@ -1,5 +1,5 @@
-//! Which segments of a view point where a global primitive does: by the track a segment belongs to. They hold the
-//! attitude where landmarks are few or all in one spot. [ALGORITHMS 9.3; paper, "Global Structure Constraint"]
+//! Rotation constraints: which segments of a view belong to a global primitive, by their tracks. They hold
+//! the attitude where landmarks are few or all in one spot. [method: Low texture; Vanishing-point error]
 
 use super::frame::TrackedFrame;
 use super::lines::newest_keyframes;
@@ -33,7 +33,8 @@ impl PrimitiveTracks {
         self.primitives.retain(|track, _| live.contains(track));
     }
 
-    /// Notes for each segment of a frame the primitive it runs along, if that is known and in the frame's submap.
+    /// Notes for each segment of a frame the primitive it runs along, if that is known and in the frame's
+    /// submap.
     pub fn associate(&self, frame: &mut TrackedFrame, map: &Map) {
         let known = |track: u64| {
             let primitive = map.primitive(*self.primitives.get(&track)?)?;

@@ -1,4 +1,4 @@
-//! Where a camera that was lost may be, and whether it is there.
+//! Recovery of a lost camera: candidates for relocalization, and whether one is credible.
 
 use super::frame::{Inliers, TrackedFrame};
 use super::judgement::judge;
@@ -25,8 +25,8 @@ pub(super) struct LastSeen {
 }
 
 impl Tracker {
-    /// Looks for a frame in the submaps other than the one it is followed in. Where it is found there, the camera is
-    /// followed there from now on.
+    /// Looks for a frame in the submaps other than the one it is followed in. Where it is found there, the
+    /// camera is followed there from now on.
     pub fn find_elsewhere(&mut self, view: &View, map: &Map, except: SubmapId) -> Option<Tracked> {
         let before = self.last.take();
         match self.relocalise(view, map, Some(except)) {
@@ -69,7 +69,8 @@ impl Tracker {
         None
     }
 
-    /// Whether enough of what a place should show was found there: where two places look alike, it is what both have.
+    /// Whether enough of what a place should show was found there: where two places look alike, it is what
+    /// both have.
     fn is_credible(
         &self,
         frame: &TrackedFrame,

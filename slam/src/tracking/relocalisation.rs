@@ -1,4 +1,5 @@
-//! Finding a lost camera: which known places look like the image, and a pose that its geometry confirms.
+//! Relocalization: which keyframes look like the image, and a pose that geometry confirms.
+//! [method: Relocalization]
 
 use super::frame::TrackedFrame;
 use super::pose::place_frame;
@@ -91,8 +92,8 @@ impl Relocaliser {
         candidates.iter().map(|candidate| candidate.keyframe).collect()
     }
 
-    /// The frame with a pose and matches, if the place of a [candidate](Self::candidates) fits it: by its points, or,
-    /// where few are matched, by those and the directions that both show.
+    /// The frame with a pose and matches, if the place of a [candidate](Self::candidates) fits it: by its
+    /// points, or, where few are matched, by those and the directions that both show.
     pub fn try_place(&mut self, view: &View, keyframe: &Keyframe, map: &Map) -> Option<TrackedFrame> {
         let matches = Matches::of(view, keyframe, map);
         if matches.known.len() >= self.config.min_matches {
@@ -143,7 +144,8 @@ impl Relocaliser {
         (n_inliers >= self.config.min_inliers).then_some(frame)
     }
 
-    /// The attitudes, in the world of a key frame, under which the frame shows its vanishing points where primitives are.
+    /// The attitudes, in the world of a key frame, under which the frame shows its vanishing points where
+    /// primitives are.
     fn attitudes(&mut self, view: &View, keyframe: &Keyframe, map: &Map) -> Vec<UnitQuaternion<f64>> {
         let Some(finder) = &mut self.finder else { return Vec::new() };
         let seen = self.vanishing.get_or_insert_with(|| {

@@ -1,12 +1,13 @@
 //! What the front end measured in a key frame.
 //!
-//! Version 1: `u8` version, `u32` number of keypoints `n`, the settings the features belong to (`f64` fx, fy, cx, cy
-//! of the working camera, `u8` pyramid levels, `f64` scale factor), then one column after the other: `n` times `f32`
-//! x, `f32` y, `f32` angle, `f32` response, `u8` octave, and 32 bytes of descriptor. 46 bytes and 49 a keypoint.
+//! Version 1: `u8` version, `u32` number of keypoints `n`, the settings the features belong to (`f64` fx, fy,
+//! cx, cy of the working camera, `u8` pyramid levels, `f64` scale factor), then one column after the other:
+//! `n` times `f32` x, `f32` y, `f32` angle, `f32` response, `u8` octave, and 32 bytes of descriptor. 46 bytes
+//! and 49 a keypoint.
 //!
-//! Version 2: as version 1, with a `u32` number of segments after the settings, and after the descriptors the segments
-//! one by one: `f64` x and y of the start, x and y of the end, standard deviation, `u64` track, and 32 bytes of
-//! descriptor. 80 bytes a segment.
+//! Version 2: as version 1, with a `u32` number of segments after the settings, and after the descriptors the
+//! segments one by one: `f64` x and y of the start, x and y of the end, standard deviation, `u64` track, and
+//! 32 bytes of descriptor. 80 bytes a segment.
 
 use super::reader::Reader;
 use super::{BlobError, DESCRIPTOR_BYTES, decode_descriptor, encode_descriptor};

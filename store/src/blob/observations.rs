@@ -1,7 +1,7 @@
 //! Who sees a landmark.
 //!
-//! Version 1: `u8` version, then for each sighting in the order of the key frames' ids two LEB128 numbers, the key
-//! frame's id less the one before (from 0) and the index of the feature:
+//! Version 1: `u8` version, then for each sighting in the order of the key frames' ids two LEB128 numbers,
+//! the key frame's id less the one before (from 0) and the index of the feature:
 //! a keypoint for points, a segment for lines, a vanishing point for primitives. Some three bytes a sighting.
 
 use super::BlobError;

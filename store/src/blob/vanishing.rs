@@ -1,8 +1,8 @@
 //! Vanishing points of a key frame.
 //!
-//! Version 1: `u8` version, then for each vanishing point `f64` x, y, z of its direction, nine `f64` of its covariance
-//! row by row, the number of its segments and their indices as LEB128 numbers. Which primitives they belong to is kept
-//! with the primitives.
+//! Version 1: `u8` version, then for each vanishing point `f64` x, y, z of its direction, nine `f64` of its
+//! covariance row by row, the number of its segments and their indices as LEB128 numbers. Which primitives
+//! they belong to is kept with the primitives.
 
 use super::BlobError;
 use super::reader::{Reader, push_varint};

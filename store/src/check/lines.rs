@@ -11,7 +11,8 @@ use slam::map::{LineLandmark, PrimitiveId};
 use sqlx::{AssertSqlSafe, SqliteConnection};
 use std::collections::BTreeSet;
 
-/// How far an end may lie from its line, as a share of how far from the origin it is: far more than rounding makes.
+/// How far an end may lie from its line, as a share of how far from the origin it is: far more than rounding
+/// makes.
 const MAX_END_ERROR: f64 = 1e-3;
 
 /// Checks lines with their observations and cells; how many lines there are.

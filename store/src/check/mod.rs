@@ -75,12 +75,13 @@ impl Problems {
 }
 
 impl Store {
-    /// Looks at everything stored and lists what is wrong; an empty list is good news. Answers for the last commit
-    /// before it began.
+    /// Looks at everything stored and lists what is wrong; an empty list is good news. Answers for the last
+    /// commit before it began.
     ///
-    /// Checks the file (`integrity_check`, `foreign_key_check`, the R*Tree) and the maps: sessions' cameras and
-    /// counts, poses that are finite with unit quaternions, features that can be read, observations of key frames and
-    /// features that exist, removed key frames that hang on something, time that rises with the frames' numbers.
+    /// Checks the file (`integrity_check`, `foreign_key_check`, the R*Tree) and the maps: sessions' cameras
+    /// and counts, poses that are finite with unit quaternions, features that can be read, observations of
+    /// key frames and features that exist, removed key frames that hang on something, time that rises with
+    /// the frames' numbers.
     ///
     /// # Errors
     /// If the database cannot be read at all.
@@ -125,7 +126,8 @@ async fn check_file(
     Ok(())
 }
 
-/// How many keypoints, segments and vanishing points each key frame has, which observations are checked against.
+/// How many keypoints, segments and vanishing points each key frame has, which observations are checked
+/// against.
 type Measured = BTreeMap<KeyframeId, [usize; 3]>;
 
 async fn check_session(

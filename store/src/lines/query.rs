@@ -11,8 +11,8 @@ use nalgebra::Vector3;
 use slam::map::{LineId, LineLandmark, PrimitiveId, SubmapId};
 use sqlx::{QueryBuilder, Row, SqliteConnection};
 
-/// Which lines are wanted; every condition given must hold for the part of the line that was seen. Bounds that are not
-/// finite numbers hold for none.
+/// Which lines are wanted; every condition given must hold for the part of the line that was seen. Bounds
+/// that are not finite numbers hold for none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LineQuery {
     /// Lines some part of which is in this box.

@@ -1,17 +1,20 @@
 //! The grid cells that stand for points and lines in the R*Trees.
 //!
 //! Bundle adjustment moves thousands of points a little, and moving an entry of the tree costs ten times what
-//! rewriting a row does. So the tree holds the cell of a grid the point lies in: a point that stays in its cell leaves
-//! the tree alone. Cells grow with the distance the point is seen from, as its uncertainty does. The cell depends on the
-//! point's row alone, not on its past. Lines stand as the cells from one end to the other.
+//! rewriting a row does. So the tree holds the cell of a grid the point lies in: a point that stays in its
+//! cell leaves the tree alone. Cells grow with the distance the point is seen from, as its uncertainty does.
+//! The cell depends on the point's row alone, not on its past. Lines stand as the cells from one end to the
+//! other.
 
 use nalgebra::Vector3;
 
-/// Side of a cell as a share of the distance the point can be seen from, before it is rounded down to a power of
-/// two. A sixteenth: corrections of a settled map are some hundredths of that, and queries of a room are still sharp.
+/// Side of a cell as a share of the distance the point can be seen from, before it is rounded down to a power
+/// of two. A sixteenth: corrections of a settled map are some hundredths of that, and queries of a room are
+/// still sharp.
 const SIDE_SHARE: f64 = 1.0 / 16.0;
 
-/// The same for a line, as a share of its length. A quarter: the box of a slanting line is far larger than the line.
+/// The same for a line, as a share of its length. A quarter: the box of a slanting line is far larger than
+/// the line.
 const SIDE_SHARE_OF_LENGTH: f64 = 1.0 / 4.0;
 
 /// Bits of a key that hold the point's id; the session's number is above them.
@@ -38,13 +41,14 @@ pub(crate) struct Cell {
 }
 
 impl Cell {
-    /// The cell of a point that can be seen from up to `max_distance`. The point itself where that is no usable number.
+    /// The cell of a point that can be seen from up to `max_distance`. The point itself where that is no
+    /// usable number.
     pub fn of(position: &Vector3<f64>, max_distance: f64) -> Self {
         Self::of_side(position, max_distance * SIDE_SHARE)
     }
 
-    /// The cells from one end of a line to the other. A line's uncertainty grows with its length as a point's with its
-    /// distance.
+    /// The cells from one end of a line to the other. A line's uncertainty grows with its length as a point's
+    /// with its distance.
     pub fn of_ends([start, end]: &[Vector3<f64>; 2]) -> Self {
         let side = (end - start).norm() * SIDE_SHARE_OF_LENGTH;
         let (a, b) = (Self::of_side(start, side), Self::of_side(end, side));

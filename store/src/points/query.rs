@@ -19,7 +19,8 @@ pub struct Bounds {
     pub max: Vector3<f64>,
 }
 
-/// Which points are wanted; every condition given must hold. Bounds that are not finite numbers hold for none.
+/// Which points are wanted; every condition given must hold. Bounds that are not finite numbers hold for
+/// none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PointQuery {
     /// Points in this box.

@@ -46,9 +46,9 @@ pub struct Committed {
 impl Store {
     /// Stores an update in one transaction: all of it is in the database afterwards, or none of it.
     ///
-    /// Writes the rows that `update.changes` names, as they are in `update.map`, and `update.frames`. Images of key
-    /// frames that are no longer in the map are left out. After an error the database is as it was and the same
-    /// update, alone or merged with later ones, can be tried again.
+    /// Writes the rows that `update.changes` names, as they are in `update.map`, and `update.frames`. Images
+    /// of key frames that are no longer in the map are left out. After an error the database is as it was and
+    /// the same update, alone or merged with later ones, can be tried again.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`], [`StoreError::Io`] and [`StoreError::Busy`] may pass; the others will not.

@@ -65,7 +65,8 @@ pub(super) async fn write_primitives(
     Ok(())
 }
 
-/// Writes the vanishing points of changed key frames where they are not stored already, which they mostly are.
+/// Writes the vanishing points of changed key frames where they are not stored already, which they mostly
+/// are.
 pub(super) async fn write_vanishing(
     connection: &mut SqliteConnection,
     session: i64,

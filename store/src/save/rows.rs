@@ -5,8 +5,9 @@ use sqlx::sqlite::{SqliteArguments, SqliteConnection};
 use sqlx::{Arguments, AssertSqlSafe, Encode, Sqlite, Type};
 use std::fmt::Write;
 
-/// Rows per statement, greatest first. Few sizes, so that each statement is prepared once and kept; the largest
-/// binds well under SQLite's 32766 values and takes the caller's thread a tenth of a millisecond to fill.
+/// Rows per statement, greatest first. Few sizes, so that each statement is prepared once and kept; the
+/// largest binds well under SQLite's 32766 values and takes the caller's thread a tenth of a millisecond to
+/// fill.
 const CHUNK_SIZES: [usize; 4] = [128, 32, 8, 1];
 
 /// An insertion of rows, whatever their number.

@@ -29,7 +29,7 @@ pub struct SessionOptions {
     /// Whether loops are closed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub loop_closing: Option<bool>,
-    /// Whether the calibration is put right as the map grows.
+    /// Self-calibration: whether focal length and principal point are refined as the map grows.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refine_calibration: Option<bool>,
     /// Most key frames the session keeps.

@@ -18,7 +18,7 @@ pub struct NewSession {
     pub id: String,
     /// The camera the frames come from.
     pub camera: CameraParameters,
-    /// What the session runs with.
+    /// The session's options.
     pub options: SessionOptions,
     /// Wall-clock time of creation, nanoseconds since 1970.
     pub created_at_ns: i64,
@@ -33,7 +33,7 @@ pub struct SessionRecord {
     pub camera: CameraParameters,
     /// How that camera differs from what was given, as far as the session has found out.
     pub correction: PinholeCorrection,
-    /// What the session runs with.
+    /// The session's options.
     pub options: SessionOptions,
     /// Wall-clock time of creation, nanoseconds since 1970.
     pub created_at_ns: i64,
@@ -143,7 +143,8 @@ impl Store {
     /// Changes a session's options or scale.
     ///
     /// # Errors
-    /// [`StoreError::SessionNotFound`], or [`StoreError::NotFinite`] for a scale that is not a positive number.
+    /// [`StoreError::SessionNotFound`], or [`StoreError::NotFinite`] for a scale that is not a positive
+    /// number.
     pub async fn update_session(
         &self,
         id: &str,

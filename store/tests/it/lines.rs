@@ -165,8 +165,8 @@ async fn world_of_lines(folder: &std::path::Path) -> (Store, MapParts) {
     (store, world)
 }
 
-/// Whether a query holds, by walking along the line in small steps: never wrong where it says yes, and where the part
-/// that is inside is shorter than a step, `None`.
+/// Whether a query holds, by walking along the line in small steps: never wrong where it says yes, and where
+/// the part that is inside is shorter than a step, `None`.
 fn surely_holds(query: &LineQuery, line: &LineLandmark) -> Option<bool> {
     if line.observations.len() < query.min_observations as usize
         || query.submap.is_some_and(|submap| line.submap != submap)

@@ -7,7 +7,8 @@ use store::{Bounds, KeyframeImage, PointQuery, Store};
 
 const LARGE: Size = Size { n_keyframes: 30, n_keypoints: 300, n_points: 1500 };
 
-/// A store whose points have moved after they were first saved, some little and some far, beside another session.
+/// A store whose points have moved after they were first saved, some little and some far, beside another
+/// session.
 async fn moved_world(folder: &std::path::Path) -> (Store, MapParts) {
     let store = store_with_session(folder).await;
     store.create_session(&new_session("other")).await.unwrap();

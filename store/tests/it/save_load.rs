@@ -171,7 +171,8 @@ async fn a_dropped_submap_takes_along_what_hung_on_it() {
     let update = MapUpdate { map: map(&removed), changes, frames: vec![] };
     store.save_update("s", &update, TRACKED, &[]).await.unwrap();
 
-    // The whole submap goes, and the record of key frame 3 with it, though only key frames in the map are named.
+    // The whole submap goes, and the record of key frame 3 with it, though only key frames in the map are
+    // named.
     let changes = MapChanges {
         removed_keyframes: removed.keyframes.iter().map(|keyframe| keyframe.id).collect(),
         removed_points: removed.points.iter().map(|point| point.id).collect(),

@@ -45,7 +45,8 @@ async fn a_database_with_lines_opens() {
     assert_same_parts(&load(&store).await, &structured(51, SMALL));
 }
 
-/// Writes the file that the newest of the tests above opens. Run once per release that changes the schema, under a new name.
+/// Writes the file that the newest of the tests above opens. Run once per release that changes the schema,
+/// under a new name.
 #[tokio::test]
 #[ignore = "writes a file of the repository"]
 async fn write_a_database_of_this_release() {

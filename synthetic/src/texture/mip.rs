@@ -5,8 +5,8 @@ pub(crate) struct MipTexture {
     levels: Vec<Level>,
 }
 
-/// Rows have one texel more than `width`, and there is one row more than `height`: both repeat the last, so that
-/// every texel has a right and a lower neighbour.
+/// Rows have one texel more than `width`, and there is one row more than `height`: both repeat the last, so
+/// that every texel has a right and a lower neighbour.
 struct Level {
     width: usize,
     height: usize,

@@ -1,10 +1,10 @@
 //! Runs the engine alone over a recording and writes the trajectory, for work on the engine itself.
 //!
-//! `cargo run --release -p testkit --bin track_folder -- DATASET OUT.txt [--inline] [--start N] [--end N] [--seed N]
-//! [--no-lines] [--no-primitives] [--no-loops] [--no-calibration] [--verbose]`
+//! `cargo run --release -p testkit --bin track_folder -- DATASET OUT.txt [--inline] [--start N] [--end N]
+//! [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--no-calibration] [--verbose]`
 //!
-//! The dataset is a folder of a layout that `monoslam` reads, also looked for in the folder that `MONOSLAM_DATA` names.
-//! Through the service, and measured against the truth, is the business of `monoslam`.
+//! The dataset is a folder of a layout that `monoslam` reads, also looked for in the folder that
+//! `MONOSLAM_DATA` names. Through the service, and measured against the truth, is the business of `monoslam`.
 
 use recordings::{Recording, find_folder};
 use slam::map::{FrameRecord, FrameState};

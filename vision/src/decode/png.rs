@@ -60,8 +60,8 @@ pub(super) fn decode(data: &[u8], limits: &DecodeLimits) -> Result<GrayImage, De
     Ok(out)
 }
 
-/// Reads the size straight from the header chunk, which must come first: nothing else is looked at until it is known
-/// to be acceptable.
+/// Reads the size straight from the header chunk, which must come first: nothing else is looked at until it
+/// is known to be acceptable.
 fn check_header(data: &[u8], limits: &DecodeLimits) -> Result<(), DecodeError> {
     // Signature (8), chunk length (4), "IHDR" (4), width (4), height (4), big-endian.
     let Some(header) = data.get(8..24) else { return Err(DecodeError::Truncated { format: FORMAT }) };

@@ -20,13 +20,14 @@ const COLUMN_STEP_PX: f32 = 2.0;
 const MAX_COLUMNS: usize = 64;
 /// Columns are dealt with this many at a time.
 const LANES: usize = 8;
-/// Numbers of a row: means of the positive and of the negative parts of the gradient across and along the segment.
+/// Numbers of a row: means of the positive and of the negative parts of the gradient across and along the
+/// segment.
 const N_SUMS: usize = 4;
 /// Numbers of a band: means and standard deviations over its rows.
 const N_NUMBERS: usize = 2 * N_SUMS;
 
-/// Pairs of bands whose numbers are compared: all 36 but the four that join the two outermost bands of one side with
-/// those of the other, which a change of view moves most against each other.
+/// Pairs of bands whose numbers are compared: all 36 but the four that join the two outermost bands of one
+/// side with those of the other, which a change of view moves most against each other.
 const COMPARED_BANDS: [(usize, usize); 32] = compared_bands();
 
 const fn compared_bands() -> [(usize, usize); 32] {
@@ -48,10 +49,10 @@ const fn compared_bands() -> [(usize, usize); 32] {
 
 /// Describes segments; keeps its buffers.
 ///
-/// Nine bands lie along the segment, each 7 px wide. Per band, the gradients across and along it are summed by sign and
-/// weighted by their distance from the segment and from the band; means and standard deviations over rows make eight
-/// numbers. Bits tell which of two bands has the larger number, so brightness and contrast do not matter; the fixed
-/// bright side of [`Segment`] makes it independent of rotation.
+/// Nine bands lie along the segment, each 7 px wide. Per band, the gradients across and along it are summed
+/// by sign and weighted by their distance from the segment and from the band; means and standard deviations
+/// over rows make eight numbers. Bits tell which of two bands has the larger number, so brightness and
+/// contrast do not matter; the fixed bright side of [`Segment`] makes it independent of rotation.
 #[derive(Clone, Debug)]
 pub struct LineDescriber {
     /// The image in half its resolution.
@@ -81,8 +82,8 @@ impl LineDescriber {
         }
     }
 
-    /// A descriptor for each of `segments`, in their order. Beyond its edges the image is taken to go on as at them.
-    /// A segment without length, or not finite, gets the descriptor of all zeros.
+    /// A descriptor for each of `segments`, in their order. Beyond its edges the image is taken to go on as
+    /// at them. A segment without length, or not finite, gets the descriptor of all zeros.
     pub fn describe(&mut self, image: &GrayImage, segments: &[Segment]) -> Vec<Descriptor> {
         let mut halved = std::mem::take(&mut self.halved);
         halve(image, &mut halved);
@@ -101,7 +102,8 @@ impl LineDescriber {
         binarise(&self.band_numbers(&rows))
     }
 
-    /// The mean gradient of each row, by axis and sign: across positive, across negative, along positive, along negative.
+    /// The mean gradient of each row, by axis and sign: across positive, across negative, along positive,
+    /// along negative.
     fn row_sums(&mut self, sampler: &Sampler, segment: &Segment, length: f32) -> [[f32; N_SUMS]; N_ROWS] {
         // A whole number of lanes; comparing long with longer keeps the conversion within range.
         let wanted = (length / COLUMN_STEP_PX).min(MAX_COLUMNS as f32) as usize;
@@ -146,8 +148,8 @@ impl LineDescriber {
     }
 }
 
-/// Sums over cells between two rows of corners: positive and negative parts of the differences across and along, each
-/// twice the gradient times the step.
+/// Sums over cells between two rows of corners: positive and negative parts of the differences across and
+/// along, each twice the gradient times the step.
 fn gradient_sums(upper: &[f32], lower: &[f32]) -> [f32; N_SUMS] {
     let mut sums = [[0.0f32; LANES]; N_SUMS];
     let n = upper.len() - 1;
@@ -165,7 +167,8 @@ fn gradient_sums(upper: &[f32], lower: &[f32]) -> [f32; N_SUMS] {
     sums.map(|lanes| lanes.iter().sum())
 }
 
-/// Gaussian in the distance from the segment (sigma 31 px) times Gaussian in the distance from the band (sigma 7 px).
+/// Gaussian in the distance from the segment (sigma 31 px) times Gaussian in the distance from the band
+/// (sigma 7 px).
 fn row_weight(band: usize, row: usize) -> f32 {
     if (row / ROWS_PER_BAND).abs_diff(band) > 1 {
         return 0.0;
@@ -177,7 +180,8 @@ fn row_weight(band: usize, row: usize) -> f32 {
         * gaussian(position - (band as f32 + 0.5) * BAND_WIDTH_PX, BAND_WIDTH_PX)
 }
 
-/// Compares bands number by number. A common factor of all numbers changes nothing, so they need no normalisation.
+/// Compares bands number by number. A common factor of all numbers changes nothing, so they need no
+/// normalisation.
 fn binarise(bands: &[[f32; N_NUMBERS]; N_BANDS]) -> Descriptor {
     let mut words = [0u64; 4];
     for (pair, &(a, b)) in COMPARED_BANDS.iter().enumerate() {
@@ -200,8 +204,8 @@ mod tests {
     const SIZE: (u32, u32) = (480, 360);
     const CENTRE: Vector2<f32> = Vector2::new(240.0, 180.0);
 
-    /// Of the edges seen in both views: the share whose nearest descriptor is their own, and the mean distances of
-    /// descriptors of the same edge and of different edges.
+    /// Of the edges seen in both views: the share whose nearest descriptor is their own, and the mean
+    /// distances of descriptors of the same edge and of different edges.
     fn recognised(view: &Matrix3<f32>, gain: f32, offset: f32) -> (f32, f32, f32) {
         let scene = Scene::new(SIZE.0, SIZE.1, 5);
         let mut describer = LineDescriber::new();

@@ -1,4 +1,4 @@
-//! The front door of line detection: a detector of choice, its segments refined, filtered and spread for SLAM.
+//! Entry point of line detection: a detector of choice, its segments refined, filtered and spread for SLAM.
 
 use crate::GrayImage;
 use crate::lines::Segment;
@@ -14,8 +14,8 @@ use crate::lines::sharpen::sharpen;
 
 /// Finds line segments; keeps its buffers from image to image, hence `&mut`.
 pub trait SegmentDetector: Send {
-    /// The segments of an image, longest first; the same image always gives the same segments. An image without
-    /// straight edges, or of no size, gives none.
+    /// The segments of an image, longest first; the same image always gives the same segments. An image
+    /// without straight edges, or of no size, gives none.
     fn detect(&mut self, image: &GrayImage) -> Vec<Segment>;
 }
 
@@ -26,7 +26,8 @@ pub enum DetectorKind {
     /// [Akinlar & Topal, "EDLines", 2011; Suárez et al., "ELSED", 2022]: fast.
     EdgeDrawing,
     /// Grow regions of like gradient direction and keep those that do not happen by chance
-    /// [Grompone von Gioi et al., "LSD: a Line Segment Detector", 2012]: thorough, three to four times as slow.
+    /// [Grompone von Gioi et al., "LSD: a Line Segment Detector", 2012]: thorough, three to four times as
+    /// slow.
     Lsd,
 }
 
@@ -35,22 +36,25 @@ pub enum DetectorKind {
 pub struct LineDetectorConfig {
     /// Which detector. Default [`DetectorKind::EdgeDrawing`].
     pub kind: DetectorKind,
-    /// Shorter segments are dropped, pixels: their direction is uncertain and they are seldom found again. Default 20.
+    /// Shorter segments are dropped, pixels: their direction is uncertain and they are seldom found again.
+    /// Default 20.
     pub min_length_px: f32,
     /// So are those shorter than this share of the image's width; the larger of the two counts. Default 0.05.
     pub min_length_share: f32,
-    /// Segments are cut off this close to the image's edges, pixels: at least 2, since the gradient there is that of
-    /// pixels made up. Default 4.
+    /// Segments are cut off this close to the image's edges, pixels: at least 2, since the gradient there is
+    /// that of pixels made up. Default 4.
     pub border_px: f32,
     /// Most segments per image: the longest, spread over the image. Default 200.
     pub max_segments: usize,
-    /// Edges that stray more from their line are dropped, pixels (root mean square): they are curves. Default 1.0.
+    /// Edges that stray more from their line are dropped, pixels (root mean square): they are curves. Default
+    /// 1.0.
     pub max_sigma_px: f32,
-    /// Edges weaker than this are not followed by [`DetectorKind::EdgeDrawing`], grey levels per pixel (`|gx| + |gy|`
-    /// of the image smoothed with sigma 1). Default 4: noise of sigma 5 grey levels stays below.
+    /// Edges weaker than this are not followed by [`DetectorKind::EdgeDrawing`], grey levels per pixel
+    /// (`|gx| + |gy|` of the image smoothed with sigma 1). Default 4: noise of sigma 5 grey levels stays
+    /// below.
     pub min_gradient: f32,
-    /// [`DetectorKind::Lsd`] works on the image shrunk by this, 0.3 to 1. Default 0.8, which takes the staircase out of
-    /// slanted edges; 0.5 is over twice as fast and loses short segments.
+    /// [`DetectorKind::Lsd`] works on the image shrunk by this, 0.3 to 1. Default 0.8, which takes the
+    /// staircase out of slanted edges; 0.5 is over twice as fast and loses short segments.
     pub lsd_scale: f32,
 }
 

@@ -49,7 +49,8 @@ impl Moments {
         }
     }
 
-    /// The best line through at least two points; one that has no direction for points that all coincide runs along x.
+    /// The best line through at least two points; one that has no direction for points that all coincide runs
+    /// along x.
     pub fn fit(&self) -> FittedLine {
         let n = self.n.max(1.0);
         let centre = Vector2::new(self.x / n, self.y / n);

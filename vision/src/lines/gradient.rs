@@ -1,9 +1,10 @@
-//! The gradient of an image smoothed a little, in whole numbers: what the edge drawing detector walks along and what
-//! every segment is refined on.
+//! The gradient of an image smoothed a little, in whole numbers: what the edge drawing detector walks along
+//! and what every segment is refined on.
 
 use crate::GrayImage;
 
-/// What one grey level per pixel comes to in [`Gradients`]: 4 bits kept from the smoothing, 3 from the Sobel weights.
+/// What one grey level per pixel comes to in [`Gradients`]: 4 bits kept from the smoothing, 3 from the Sobel
+/// weights.
 pub(super) const UNITS_PER_LEVEL: f32 = 128.0;
 
 /// The binomial kernel 1 4 6 4 1: a Gaussian of sigma 1 pixel, exact in whole numbers.

@@ -6,27 +6,30 @@ use super::Segment;
 use crate::Descriptor;
 use crate::matching::DescriptorMatch;
 
-/// How far two segments may lie apart to be compared at all. Descriptors alone are weak on repeated structure.
+/// How far two segments may lie apart to be compared at all. Descriptors alone are weak on repeated
+/// structure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineGates {
     /// Largest angle between their directions, bright sides included, radians.
     pub max_angle: f32,
-    /// Largest distance across, of the second's midpoint from the first's line or the other way round, pixels.
+    /// Largest distance across, of the second's midpoint from the first's line or the other way round,
+    /// pixels.
     pub max_offset_px: f32,
     /// Largest distance of midpoints, pixels.
     pub max_midpoint_distance_px: f32,
-    /// Least length that both cover, projected on the first, as a share of the shorter one's length. Negative allows a
-    /// gap of that share.
+    /// Least length that both cover, projected on the first, as a share of the shorter one's length. Negative
+    /// allows a gap of that share.
     pub min_overlap: f32,
 }
 
 impl LineGates {
-    /// For a segment whose place is known to a few pixels across, and little along: the same edge may be cut elsewhere.
+    /// For a segment whose place is known to a few pixels across, and little along: the same edge may be cut
+    /// elsewhere.
     pub const PREDICTED: Self =
         Self { max_angle: 0.1, max_offset_px: 3.0, max_midpoint_distance_px: 200.0, min_overlap: 0.5 };
 
-    /// For segments of neighbouring images of which nothing else is known (values as UV-SLAM has them: endpoints move
-    /// up to 30 px, midpoints up to 50 px, 10 degrees).
+    /// For segments of neighbouring images of which nothing else is known (values as UV-SLAM has them:
+    /// endpoints move up to 30 px, midpoints up to 50 px, 10 degrees).
     pub const NEIGHBOURING: Self =
         Self { max_angle: 0.17, max_offset_px: 30.0, max_midpoint_distance_px: 50.0, min_overlap: 0.3 };
 
@@ -52,11 +55,11 @@ impl LineGates {
 pub struct LineMatchConfig {
     /// How far apart they may lie.
     pub gates: LineGates,
-    /// Largest Hamming distance, bits of 256. In drawn scenes the same edge lies at 4 to 18 bits after turns of 30 degrees
-    /// or 10 % of scale, another edge at 83 on average.
+    /// Largest Hamming distance, bits of 256. In drawn scenes the same edge lies at 4 to 18 bits after turns
+    /// of 30 degrees or 10 % of scale, another edge at 83 on average.
     pub max_distance: u32,
-    /// The best must be below this share of the second best, unless the two lie on one line: pieces of the same edge
-    /// look alike.
+    /// The best must be below this share of the second best, unless the two lie on one line: pieces of the
+    /// same edge look alike.
     pub ratio: f32,
 }
 

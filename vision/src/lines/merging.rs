@@ -13,8 +13,8 @@ use crate::GrayImage;
 pub struct LineMergeConfig {
     /// Largest angle between their directions, bright sides included, radians. Default 2 degrees.
     pub max_angle: f32,
-    /// Largest distance of the shorter one's endpoints from the longer one's line, pixels. Default 1.5: parallel double
-    /// edges, as of a door's frame, lie further apart.
+    /// Largest distance of the shorter one's endpoints from the longer one's line, pixels. Default 1.5:
+    /// parallel double edges, as of a door's frame, lie further apart.
     pub max_offset_px: f32,
     /// Largest gap between them, pixels. Default 10.
     pub max_gap_px: f32,
@@ -48,8 +48,8 @@ pub struct MergedLines {
     pub merged_idx: Vec<u32>,
 }
 
-/// Merges until nothing merges any more. `image` decides whether gaps show an edge. Segments that are not finite stay
-/// as they are.
+/// Merges until nothing merges any more. `image` decides whether gaps show an edge. Segments that are not
+/// finite stay as they are.
 pub fn merge_collinear(image: &GrayImage, segments: &[Segment], config: &LineMergeConfig) -> MergedLines {
     let probe = EdgeProbe::new(Sampler::new(image), &config.support);
     let (mut pieces, nonsense): (Vec<Piece>, Vec<Piece>) =
@@ -154,8 +154,9 @@ pub(super) fn belong_together(a: &Segment, b: &Segment, probe: &EdgeProbe, confi
     probe.support(from, to, long.normal()).share >= config.support.min_share
 }
 
-/// The segment that a uniform distribution over both has as its main axis: their second moments are added exactly, no
-/// pixel is looked at. It reaches from the first to the last of the four endpoints, directed as the longer one.
+/// The segment that a uniform distribution over both has as its main axis: their second moments are added
+/// exactly, no pixel is looked at. It reaches from the first to the last of the four endpoints, directed as
+/// the longer one.
 pub fn merge_pair(a: &Segment, b: &Segment) -> Segment {
     let (length_a, length_b) = (a.length(), b.length());
     let total = length_a + length_b;

@@ -18,7 +18,8 @@ impl Scatter {
         self.yy += weight * offset.y * offset.y;
     }
 
-    /// The direction of most scatter, a unit vector within a right angle of `towards`; and the scatter across it.
+    /// The direction of most scatter, a unit vector within a right angle of `towards`; and the scatter across
+    /// it.
     pub fn main_axis(&self, towards: Vector2<f32>) -> (Vector2<f32>, f32) {
         let angle = 0.5 * (2.0 * self.xy).atan2(self.xx - self.yy);
         let axis = Vector2::new(angle.cos(), angle.sin());

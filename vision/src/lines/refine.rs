@@ -12,8 +12,8 @@ use crate::lines::select::Ends;
 const SEARCH_PX: i32 = 2;
 /// A maximum weaker than this is noise, grey levels per pixel.
 const MIN_GRADIENT: f32 = 1.5;
-/// Maxima farther from the line through all of them than this multiple of the standard deviation are left out: they belong
-/// to another edge, or to the corner the edge ends in.
+/// Maxima farther from the line through all of them than this multiple of the standard deviation are left
+/// out: they belong to another edge, or to the corner the edge ends in.
 const MAX_STRAY_SIGMAS: f64 = 2.5;
 /// Within these bounds, pixels.
 const MAX_STRAY_BOUNDS_PX: [f64; 2] = [0.2, 1.5];
@@ -24,7 +24,8 @@ const MIN_SAMPLES: usize = 8;
 /// So many of the places looked at must have a maximum near the line.
 const MIN_SHARE: f32 = 0.6;
 
-/// An edge that goes on beyond a segment's end is followed this far, pixels: detectors stop short of corners and crossings.
+/// An edge that goes on beyond a segment's end is followed this far, pixels: detectors stop short of corners
+/// and crossings.
 const MAX_EXTENSION_PX: usize = 10;
 /// As long as its maxima are this near to the line, pixels.
 const MAX_EXTENSION_STRAY_PX: f64 = 0.7;
@@ -36,8 +37,8 @@ pub(super) struct Refiner {
 }
 
 impl Refiner {
-    /// Smallest standard deviation a segment is given, pixels. What remains below is not noise that averages out: the
-    /// sampling of the image, the lens model, the blur of moving edges.
+    /// Smallest standard deviation a segment is given, pixels. What remains below is not noise that averages
+    /// out: the sampling of the image, the lens model, the blur of moving edges.
     pub const MIN_SIGMA_PX: f32 = 0.3;
 
     /// The segment that fits the edge near `ends`, or `None` if there is no straight one.
@@ -67,8 +68,8 @@ impl Refiner {
         segment.is_finite().then_some(segment)
     }
 
-    /// Collects the maxima of the gradient across the segment, one for each profile or every other one. Returns at how
-    /// many profiles it looked.
+    /// Collects the maxima of the gradient across the segment, one for each profile or every other one.
+    /// Returns at how many profiles it looked.
     fn sample(&mut self, profiles: &Profiles, ends: &Ends) -> usize {
         self.samples.clear();
         let (start, end) = (profiles.to_uv(ends.start), profiles.to_uv(ends.end));
@@ -127,8 +128,8 @@ fn extended(profiles: &Profiles, line: &FittedLine, from: Vector2<f32>, u_grows:
     last
 }
 
-/// The gradient across a segment on columns of pixels if the segment runs along x rather than y, else on rows: that
-/// needs no interpolation. `u` is the number of the column (or row), `v` the place on it.
+/// The gradient across a segment on columns of pixels if the segment runs along x rather than y, else on
+/// rows: that needs no interpolation. `u` is the number of the column (or row), `v` the place on it.
 struct Profiles<'a> {
     field: &'a [i16],
     /// Makes the gradient positive if the brighter side is to the right.

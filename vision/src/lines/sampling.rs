@@ -8,7 +8,8 @@ use crate::GrayImage;
 const FRACTION_BITS: u32 = 16;
 /// Interpolation weights are in parts of this many.
 const ONE: u32 = 256;
-/// A position must be this far inside the outermost pixel centres, pixels: room for the rounding of a path's positions.
+/// A position must be this far inside the outermost pixel centres, pixels: room for the rounding of a path's
+/// positions.
 const MARGIN_PX: f32 = 0.01;
 
 /// Bilinear interpolation in an image.
@@ -31,7 +32,8 @@ impl<'a> Sampler<'a> {
         inside(position.x, self.width) && inside(position.y, self.height)
     }
 
-    /// Fills `out` with the grey levels at `start + i * step`. False, and nothing done, if the path leaves the image.
+    /// Fills `out` with the grey levels at `start + i * step`. False, and nothing done, if the path leaves
+    /// the image.
     #[inline]
     pub fn path(&self, start: Vector2<f32>, step: Vector2<f32>, out: &mut [f32]) -> bool {
         let last = start + step * (out.len().max(1) - 1) as f32;
@@ -87,7 +89,8 @@ impl<'a> Sampler<'a> {
     }
 }
 
-/// Writes the means of 2 x 2 pixels of `image` into `out`, reusing its buffer; an odd last row or column is left out.
+/// Writes the means of 2 x 2 pixels of `image` into `out`, reusing its buffer; an odd last row or column is
+/// left out.
 pub(super) fn halve(image: &GrayImage, out: &mut GrayImage) {
     let (width, height) = (image.width() / 2, image.height() / 2);
     out.reshape(width, height);

@@ -4,8 +4,8 @@ use nalgebra::Vector2;
 
 /// A line segment in an image, directed so that the brighter side lies to its right on the screen.
 ///
-/// On the screen (x right, y down) the right of a direction `(dx, dy)` is `(-dy, dx)`: a segment that runs right has the
-/// brighter side below it.
+/// On the screen (x right, y down) the right of a direction `(dx, dy)` is `(-dy, dx)`: a segment that runs
+/// right has the brighter side below it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Segment {
     /// Where it begins, pixels.

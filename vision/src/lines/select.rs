@@ -18,8 +18,8 @@ impl Ends {
     }
 }
 
-/// Squares of the grid along the longer side of the frame, over which segments are spread: in an image of 640 x 480 they
-/// have 80 pixels, and 200 segments are four to a square.
+/// Squares of the grid along the longer side of the frame, over which segments are spread: in an image of 640
+/// x 480 they have 80 pixels, and 200 segments are four to a square.
 const N_CELLS: f32 = 8.0;
 /// A square may take this many times its equal share before the others have been served.
 const SHARES_PER_CELL: usize = 2;
@@ -49,8 +49,8 @@ pub(super) fn clip_and_drop(segments: &mut Vec<Ends>, frame: &Frame, min_length_
     });
 }
 
-/// Orders segments by merit: the longest first, but those a square of the grid has beyond twice its share of `n_wanted`
-/// after all others. Segments of equal length keep their order.
+/// Orders segments by merit: the longest first, but those a square of the grid has beyond twice its share of
+/// `n_wanted` after all others. Segments of equal length keep their order.
 pub(super) fn spread(segments: &mut Vec<Ends>, frame: &Frame, n_wanted: usize) {
     segments.sort_by(|a, b| b.length().total_cmp(&a.length()));
     if segments.len() <= n_wanted {
@@ -72,8 +72,8 @@ pub(super) fn spread(segments: &mut Vec<Ends>, frame: &Frame, n_wanted: usize) {
     segments.append(&mut later);
 }
 
-/// Whether a segment says again what another does: it lies on it, or for the greater part so. Pieces found apart may be
-/// refined to the same edge.
+/// Whether a segment says again what another does: it lies on it, or for the greater part so. Pieces found
+/// apart may be refined to the same edge.
 pub(super) fn is_repeated(kept: &Segment, segment: &Segment) -> bool {
     let near = |end: &Vector2<f32>| kept.distance(end).abs() <= SAME_EDGE_PX;
     if !near(&segment.start) || !near(&segment.end) || kept.vector().dot(&segment.vector()) <= 0.0 {

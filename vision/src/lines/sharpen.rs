@@ -1,5 +1,5 @@
-//! Where an edge lies, by the image's own sharpness: smoothing blends edges that run close beside each other, so that
-//! those of a thin frame push each other apart.
+//! Where an edge lies, by the image's own sharpness: smoothing blends edges that run close beside each other,
+//! so that those of a thin frame push each other apart.
 
 use nalgebra::Vector2;
 
@@ -8,8 +8,8 @@ use crate::lines::sampling::Sampler;
 
 /// Distance of a profile's places, pixels.
 const STEP_PX: f32 = 0.5;
-/// The gradient is taken over so many of them: over less, edges along the pixels' rows seem to lie where pixels meet (to
-/// 0.3 pixels); over more, edges that are near blend.
+/// The gradient is taken over so many of them: over less, edges along the pixels' rows seem to lie where
+/// pixels meet (to 0.3 pixels); over more, edges that are near blend.
 const GRADIENT_STEPS: usize = 3;
 /// An edge is moved by so many places at most: what is found farther is another one.
 const MAX_MOVE: usize = 2;
@@ -20,8 +20,8 @@ const MAX_SAMPLES: usize = 32;
 /// A maximum weaker than this is noise, grey levels per pixel.
 const MIN_GRADIENT: f32 = 1.5;
 
-/// The segment, moved and turned to the maxima of the gradient of the unsmoothed image, averaged along each half of it.
-/// As it was where there is none near, or part of it is outside of the image.
+/// The segment, moved and turned to the maxima of the gradient of the unsmoothed image, averaged along each
+/// half of it. As it was where there is none near, or part of it is outside of the image.
 pub(super) fn sharpen(image: &Sampler, segment: &Segment) -> Segment {
     let quarter = segment.vector() * 0.25;
     let normal = segment.normal();
@@ -39,7 +39,8 @@ pub(super) fn sharpen(image: &Sampler, segment: &Segment) -> Segment {
     }
 }
 
-/// How far the edge lies from the line through `centre`, towards `normal`, pixels; `half` is half the vector along it.
+/// How far the edge lies from the line through `centre`, towards `normal`, pixels; `half` is half the vector
+/// along it.
 fn offset(image: &Sampler, centre: Vector2<f32>, half: Vector2<f32>, normal: Vector2<f32>) -> Option<f32> {
     let n = (2.0 * half.norm()).ceil().clamp(4.0, MAX_SAMPLES as f32) as usize;
     let step = half * (2.0 / n as f32);

@@ -13,10 +13,11 @@ const MAX_PLACES: usize = 512;
 /// When a place counts as lying on an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeSupportConfig {
-    /// Least gradient towards the bright side, grey levels per pixel. Default 3: detectors start at 5, and a track may
-    /// fade a little; the noise of a gradient is 1 to 1.5.
+    /// Least gradient towards the bright side, grey levels per pixel. Default 3: detectors start at 5, and a
+    /// track may fade a little; the noise of a gradient is 1 to 1.5.
     pub min_gradient: f32,
-    /// Largest angle between the gradient and the normal, radians. Default 22.5 degrees, the tolerance detectors use.
+    /// Largest angle between the gradient and the normal, radians. Default 22.5 degrees, the tolerance
+    /// detectors use.
     pub max_angle: f32,
     /// Least share of supported places. Default 0.6.
     pub min_share: f32,
@@ -64,7 +65,8 @@ impl<'a> EdgeProbe<'a> {
         (along_gradient.abs() <= self.max_slope * across_gradient).then_some(across_gradient)
     }
 
-    /// What supports the stretch from `start` to `end` of an edge with this normal; no support for a stretch of no length.
+    /// What supports the stretch from `start` to `end` of an edge with this normal; no support for a stretch
+    /// of no length.
     pub fn support(&self, start: Vector2<f32>, end: Vector2<f32>, normal: Vector2<f32>) -> EdgeSupport {
         let (mut n_supported, mut total) = (0u32, 0.0);
         let n = n_places((end - start).norm());

@@ -7,7 +7,8 @@ use super::clip::Frame;
 use crate::GrayImage;
 use crate::test_images::Random;
 
-/// Side of the squares that hold one rectangle each, in units of the plane: a pixel where the homography is the identity.
+/// Side of the squares that hold one rectangle each, in units of the plane: a pixel where the homography is
+/// the identity.
 const CELL: f32 = 90.0;
 
 #[derive(Clone, Copy)]
@@ -41,7 +42,8 @@ pub(super) struct Scene {
 /// Brightness of the plane itself.
 const GROUND: f32 = 110.0;
 
-/// Soft spots, with gradients well below an edge's: without them a rectangle's opposite sides would look alike.
+/// Soft spots, with gradients well below an edge's: without them a rectangle's opposite sides would look
+/// alike.
 fn texture(point: Vector2<f32>) -> f32 {
     let (x, y) = (point.x, point.y);
     7.0 * (x / 13.0 + 2.0 * (y / 41.0).sin()).sin() + 7.0 * (y / 11.0 + 2.0 * (x / 37.0).sin()).sin()
@@ -80,8 +82,8 @@ impl Scene {
         GROUND + texture(point)
     }
 
-    /// The scene through `image_from_plane`, means of 3 x 3 points per pixel, with a little noise; brightness `v` becomes
-    /// `gain * v + offset`.
+    /// The scene through `image_from_plane`, means of 3 x 3 points per pixel, with a little noise; brightness
+    /// `v` becomes `gain * v + offset`.
     pub fn render(
         &self,
         size: (u32, u32),
@@ -100,8 +102,8 @@ impl Scene {
         })
     }
 
-    /// The edges in the image, the part further than 1 px from its border, with the number of the edge; those shorter
-    /// than 15 px are left out.
+    /// The edges in the image, the part further than 1 px from its border, with the number of the edge; those
+    /// shorter than 15 px are left out.
     pub fn segments(&self, size: (u32, u32), image_from_plane: &Matrix3<f32>) -> Vec<(usize, Segment)> {
         let frame = Frame::of_image(size.0, size.1).grown(-1.0);
         let mut segments = Vec::new();

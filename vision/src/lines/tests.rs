@@ -14,7 +14,8 @@ fn detect(kind: DetectorKind, image: &GrayImage) -> Vec<Segment> {
     detector(LineDetectorConfig { kind, ..Default::default() }).unwrap().detect(image)
 }
 
-/// A bright rectangle with the given centre, half sides and rotation, each pixel the mean of 8 x 8 places in it.
+/// A bright rectangle with the given centre, half sides and rotation, each pixel the mean of 8 x 8 places in
+/// it.
 struct Rectangle {
     centre: Vector2<f32>,
     half: Vector2<f32>,

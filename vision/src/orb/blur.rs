@@ -3,7 +3,8 @@
 use crate::GrayImage;
 
 const RADIUS: usize = 3;
-/// exp(-d^2 / 8) for distances 0 to 3, scaled so that all seven weights sum to 256: sums of bytes fit into 16 bits.
+/// exp(-d^2 / 8) for distances 0 to 3, scaled so that all seven weights sum to 256: sums of bytes fit into 16
+/// bits.
 const WEIGHTS: [u16; RADIUS + 1] = [56, 49, 33, 18];
 
 /// Blurs images; keeps its buffer.

@@ -1,5 +1,5 @@
-//! Steered BRIEF descriptors [Calonder et al., "BRIEF: binary robust independent elementary features", ECCV 2010;
-//! Rublee et al., ICCV 2011].
+//! Steered BRIEF descriptors [Calonder et al., "BRIEF: binary robust independent elementary features", ECCV
+//! 2010; Rublee et al., ICCV 2011].
 
 use std::f32::consts::TAU;
 
@@ -7,8 +7,9 @@ use super::pattern::{self, Test};
 use super::{Descriptor, PATCH_RADIUS_PX};
 use crate::GrayImage;
 
-/// Directions the tests are rotated to in advance, 3 degrees apart. Against the usual 30 directions that is 7 % more
-/// correct matches 5 frames apart, and no slower: the tables (1 KiB each) stay in the second-level cache.
+/// Directions the tests are rotated to in advance, 3 degrees apart. Against the usual 30 directions that is 7
+/// % more correct matches 5 frames apart, and no slower: the tables (1 KiB each) stay in the second-level
+/// cache.
 const N_DIRECTIONS: usize = 120;
 const N_TESTS: usize = Descriptor::N_BITS as usize;
 /// A patch of 31 x 31 pixels is copied out with this row length, so that an offset is `32 * row + column`.
@@ -31,7 +32,8 @@ impl SteeredTests {
         Self { directions: (0..N_DIRECTIONS).map(rotated).collect() }
     }
 
-    /// Describes the pixels around (x, y), at least 16 from the edges of `blurred`, seen along `angle` (radians).
+    /// Describes the pixels around (x, y), at least 16 from the edges of `blurred`, seen along `angle`
+    /// (radians).
     pub fn describe(&self, blurred: &GrayImage, x: u32, y: u32, angle: f32) -> Descriptor {
         let direction = (angle * (N_DIRECTIONS as f32 / TAU)).round() as usize % N_DIRECTIONS;
         let patch = copy_patch(blurred, x as usize, y as usize);

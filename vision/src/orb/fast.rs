@@ -1,9 +1,10 @@
 //! FAST-9/16 corners [Rosten & Drummond, "Machine learning for high-speed corner detection", ECCV 2006].
 //!
-//! A pixel is a corner if 9 neighbouring pixels of the 16 on a circle of radius 3 are all brighter, or all darker, than
-//! it by more than a threshold. Its *score* is the largest threshold at which that is not yet false: with `b` the
-//! largest, over the 16 arcs, of an arc's smallest pixel and `d` the smallest of an arc's largest, the score is
-//! `max(b - centre, centre - d, 0)`. That form needs no branch, so whole vectors of pixels are scored at once.
+//! A pixel is a corner if 9 neighbouring pixels of the 16 on a circle of radius 3 are all brighter, or all
+//! darker, than it by more than a threshold. Its *score* is the largest threshold at which that is not yet
+//! false: with `b` the largest, over the 16 arcs, of an arc's smallest pixel and `d` the smallest of an arc's
+//! largest, the score is `max(b - centre, centre - d, 0)`. That form needs no branch, so whole vectors of
+//! pixels are scored at once.
 
 use super::OrbConfig;
 #[cfg(target_arch = "x86_64")]
@@ -49,8 +50,8 @@ struct Region {
 }
 
 impl Detector {
-    /// Appends the corners of `image` to `corners`: those above `fast_threshold` that are the largest among their eight
-    /// neighbours, and in cells that have none, those above `min_fast_threshold`.
+    /// Appends the corners of `image` to `corners`: those above `fast_threshold` that are the largest among
+    /// their eight neighbours, and in cells that have none, those above `min_fast_threshold`.
     pub fn detect(&mut self, image: &GrayImage, config: &OrbConfig, corners: &mut Vec<Corner>) {
         let (width, height) = (image.width() as usize, image.height() as usize);
         let margin = config.edge_margin_px as usize;
@@ -92,7 +93,8 @@ impl Detector {
         }
     }
 
-    /// Scores `region` and a ring of one pixel around it, and appends the local maxima above `threshold` inside it.
+    /// Scores `region` and a ring of one pixel around it, and appends the local maxima above `threshold`
+    /// inside it.
     fn peaks(&mut self, image: &GrayImage, region: Region, threshold: u8, corners: &mut Vec<Corner>) {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") && fits::<Avx2>(image) {
@@ -188,8 +190,8 @@ fn fits<L: Lanes>(image: &GrayImage) -> bool {
     image.width() as usize >= L::N + 2 * CIRCLE_RADIUS
 }
 
-/// The eight neighbours of pixel `at`: those before it in reading order, which must be smaller than a peak, and those
-/// after it, which must not be larger. So of equal neighbouring scores the first is the peak.
+/// The eight neighbours of pixel `at`: those before it in reading order, which must be smaller than a peak,
+/// and those after it, which must not be larger. So of equal neighbouring scores the first is the peak.
 #[inline(always)]
 fn neighbours(at: usize, width: usize) -> ([usize; 4], [usize; 4]) {
     (
@@ -204,8 +206,8 @@ fn score_lanes<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16], thresho
     let centre = L::load(&pixels[at..]);
     let threshold = L::splat(threshold);
     let on_circle = |k: usize| L::load(&pixels[at.wrapping_add_signed(circle[k % 16])..]);
-    // Of two opposite pixels every arc of 9 holds at least one. So no arc is brighter throughout than the dimmest of
-    // the brighter ones of such pairs; four pairs dismiss most pixels.
+    // Of two opposite pixels every arc of 9 holds at least one. So no arc is brighter throughout than the
+    // dimmest of the brighter ones of such pairs; four pairs dismiss most pixels.
     let bounds = |a: usize, b: usize| {
         let (p, q, r, s) = (on_circle(a), on_circle(a + 8), on_circle(b), on_circle(b + 8));
         (p.max(q).min(r.max(s)), p.min(q).max(r.min(s)))
@@ -229,8 +231,8 @@ fn score_lanes<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16], thresho
 #[inline(always)]
 fn arc_extremes<L: Lanes>(on_circle: impl Fn(usize) -> L) -> (L, L) {
     let circle: [L; 16] = std::array::from_fn(&on_circle);
-    // Extremes of 2, 4 and 8 neighbouring pixels, from every odd position on. The arcs of 9 from an even position `k`
-    // and from `k + 1` share the 8 pixels from `k + 1` on and differ in one: two arcs for one.
+    // Extremes of 2, 4 and 8 neighbouring pixels, from every odd position on. The arcs of 9 from an even
+    // position `k` and from `k + 1` share the 8 pixels from `k + 1` on and differ in one: two arcs for one.
     let two: [(L, L); 8] = std::array::from_fn(|i| {
         let (a, b) = (circle[2 * i + 1], circle[(2 * i + 2) % 16]);
         (a.min(b), a.max(b))

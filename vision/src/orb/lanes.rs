@@ -1,6 +1,8 @@
-//! Vectors of bytes for the corner detector: 32 at a time with AVX2, 16 at a time in code every compiler vectorises.
+//! Vectors of bytes for the corner detector: 32 at a time with AVX2, 16 at a time in code every compiler
+//! vectorises.
 
-/// A vector of unsigned bytes. All functions are inlined into a caller that has the processor features they need.
+/// A vector of unsigned bytes. All functions are inlined into a caller that has the processor features they
+/// need.
 pub(super) trait Lanes: Copy {
     /// Bytes in the vector, at most 32.
     const N: usize;
@@ -77,8 +79,8 @@ impl Lanes for Portable {
     }
 }
 
-/// AVX2 registers. A value may exist only on a processor that has AVX2: [`Avx2::load`] and [`Avx2::splat`], the only
-/// ways to make one from nothing, are called from functions that are entered after a check for it.
+/// AVX2 registers. A value may exist only on a processor that has AVX2: [`Avx2::load`] and [`Avx2::splat`],
+/// the only ways to make one from nothing, are called from functions that are entered after a check for it.
 #[cfg(target_arch = "x86_64")]
 #[derive(Clone, Copy)]
 pub(super) struct Avx2(std::arch::x86_64::__m256i);

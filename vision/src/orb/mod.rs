@@ -1,5 +1,6 @@
-//! ORB features: FAST corners over a scale pyramid, spread over the image, oriented by the intensity centroid and
-//! described by steered BRIEF [Rublee et al., "ORB: an efficient alternative to SIFT or SURF", ICCV 2011].
+//! ORB features: FAST corners over a scale pyramid, spread over the image, oriented by the intensity centroid
+//! and described by steered BRIEF [Rublee et al., "ORB: an efficient alternative to SIFT or SURF", ICCV
+//! 2011].
 
 mod blur;
 mod brief;
@@ -110,15 +111,17 @@ pub struct OrbConfig {
     /// Keypoints keep this distance from the edges of their level, pixels; at least 16, so that the patch of
     /// orientation and descriptor (radius 15) lies inside. Default 16.
     pub edge_margin_px: u32,
-    /// Find corners to a fraction of a pixel and drop those that are none: the steps of a slanted edge look like corners
-    /// and slide along it as the camera moves. Default true: finding them better lowered the median trajectory error
-    /// on EuRoC part b by about a tenth; dropping the others lowered it on POV office, all edges and plain walls, from
-    /// 0.24 to 0.03 m with lines. Points alone do not last there without them.
+    /// Find corners to a fraction of a pixel and drop those that are none: the steps of a slanted edge look
+    /// like corners and slide along it as the camera moves. Default true: finding them better lowered the
+    /// median trajectory error on EuRoC part b by about a tenth; dropping the others lowered it on POV
+    /// office, all edges and plain walls, from 0.24 to 0.03 m with lines. Points alone do not last there
+    /// without them.
     pub refine_corners: bool,
-    /// Share of the features chosen for covering the image, each the strongest of its square; the rest are the strongest
-    /// anywhere, which are the ones found again most often. 0 to 1. Default 0.5: on EuRoC V1_01, 5 frames apart, 492
-    /// correct matches in 101 squares of 32 px; at 0 it is 580 in 73, at 0.25 550 in 84, at 1 365 in 132. Cover matters
-    /// more than number for the pose: from 0.25 to 0.5 the trajectory error on EuRoC part b fell from 0.0043 to 0.0036 m.
+    /// Share of the features chosen for covering the image, each the strongest of its square; the rest are
+    /// the strongest anywhere, which are the ones found again most often. 0 to 1. Default 0.5: on EuRoC
+    /// V1_01, 5 frames apart, 492 correct matches in 101 squares of 32 px; at 0 it is 580 in 73, at 0.25 550
+    /// in 84, at 1 365 in 132. Cover matters more than number for the pose: from 0.25 to 0.5 the trajectory
+    /// error on EuRoC part b fell from 0.0043 to 0.0036 m.
     pub spread_share: f32,
 }
 
@@ -199,8 +202,8 @@ impl OrbConfig {
         Ok(())
     }
 
-    /// Standard deviation of a keypoint's position, pixels of level 0: `scale_factor^octave`, that is one pixel of the
-    /// level it was found at.
+    /// Standard deviation of a keypoint's position, pixels of level 0: `scale_factor^octave`, that is one
+    /// pixel of the level it was found at.
     pub fn level_sigma_px(&self, octave: u8) -> f32 {
         self.scale_factor.powi(i32::from(octave))
     }

@@ -1,4 +1,5 @@
-//! Orientation by the intensity centroid [Rosin, "Measuring corner properties", CVIU 1999; Rublee et al., ICCV 2011].
+//! Orientation by the intensity centroid [Rosin, "Measuring corner properties", CVIU 1999; Rublee et al.,
+//! ICCV 2011].
 
 use std::f32::consts::TAU;
 
@@ -31,8 +32,8 @@ const fn disc_weights() -> [([i16; ROW], [i16; ROW]); RADIUS + 1] {
     weights
 }
 
-/// Direction from (x, y), at least 16 pixels from the image's edges, to the centroid of the disc of radius 15 around
-/// it, radians in [0, 2 pi).
+/// Direction from (x, y), at least 16 pixels from the image's edges, to the centroid of the disc of radius 15
+/// around it, radians in [0, 2 pi).
 pub(super) fn angle(image: &GrayImage, x: u32, y: u32) -> f32 {
     let (m10, m01) = moments(image, x, y);
     let angle = (m01 as f32).atan2(m10 as f32);

@@ -1,16 +1,18 @@
 //! Which pairs of pixels the descriptor compares.
 //!
-//! The pattern is our own. 12 000 candidate pairs were drawn, both points from a Gaussian of sigma 7 px cut at radius 15
-//! and at least 3 px apart. They were tried on 8000 pairs of patches, blurred and turned upright, of points seen in two
-//! frames 5 apart (pov_office from frame 400 on, 7-Scenes RedKitchen from 400 on, ICL of_kt0 and KITTI), accepted by a
-//! fundamental matrix. For each candidate: `flip`, how often its two bits differ for the same point, and `chance =
-//! 2 m (1 - m)`, how often they would for two different points, `m` being the bit's mean. Candidates were then taken in
-//! the order of falling `(chance - flip) / sqrt(flip (1 - flip) + 1/4)` as long as their bits' correlation with all
-//! those taken stayed below a bound, the lowest bound (0.54) that leaves 256. [Rublee et al., ICCV 2011] choose by mean
-//! and correlation alone; how stable a bit is matters as well.
+//! The pattern is our own. 12 000 candidate pairs were drawn, both points from a Gaussian of sigma 7 px cut
+//! at radius 15 and at least 3 px apart. They were tried on 8000 pairs of patches, blurred and turned
+//! upright, of points seen in two frames 5 apart (pov_office from frame 400 on, 7-Scenes RedKitchen from 400
+//! on, ICL of_kt0 and KITTI), accepted by a fundamental matrix. For each candidate: `flip`, how often its two
+//! bits differ for the same point, and `chance = 2 m (1 - m)`, how often they would for two different points,
+//! `m` being the bit's mean. Candidates were then taken in the order of falling `(chance - flip) / sqrt(flip
+//! (1 - flip) + 1/4)` as long as their bits' correlation with all those taken stayed below a bound, the
+//! lowest bound (0.54) that leaves 256. [Rublee et al., ICCV 2011] choose by mean and correlation alone; how
+//! stable a bit is matters as well.
 //!
-//! On frames not used for the choice, mutual matches within 2 px of the true epipolar line, against 256 pairs drawn
-//! from the Gaussian alone, 5 frames apart: EuRoC V1_01 449 to 461, pov_office 474 to 487, RedKitchen 288 to 305.
+//! On frames not used for the choice, mutual matches within 2 px of the true epipolar line, against 256 pairs
+//! drawn from the Gaussian alone, 5 frames apart: EuRoC V1_01 449 to 461, pov_office 474 to 487, RedKitchen
+//! 288 to 305.
 
 use super::Descriptor;
 

@@ -2,8 +2,8 @@
 
 use super::OrbConfig;
 
-/// Features to take from each level, of those `available`: in proportion to the level's side, and what one level cannot
-/// give is asked of the others. Sums to `n_features`, or to all there are.
+/// Features to take from each level, of those `available`: in proportion to the level's side, and what one
+/// level cannot give is asked of the others. Sums to `n_features`, or to all there are.
 pub(super) fn per_level(config: &OrbConfig, available: impl Iterator<Item = usize>) -> Vec<usize> {
     let available: Vec<usize> = available.collect();
     let share = |level: usize| f64::from(config.scale_factor).powi(-(level as i32));

@@ -9,8 +9,8 @@ const RADIUS: i32 = 4;
 const SIDE: usize = 2 * RADIUS as usize + 1;
 /// A corner that would move farther than this is not one: it stays where it was detected, pixels.
 const MAX_SHIFT: f32 = 1.5;
-/// Ratio of the structure tensor's eigenvalues below which the place along an edge is not determined. At 0.05 blurred
-/// corners of real images go too: the trajectory error on EuRoC part b doubles.
+/// Ratio of the structure tensor's eigenvalues below which the place along an edge is not determined. At 0.05
+/// blurred corners of real images go too: the trajectory error on EuRoC part b doubles.
 const MIN_EIGENVALUE_RATIO: f32 = 0.02;
 
 /// Finds corners to a fraction of a pixel.
@@ -22,18 +22,19 @@ pub(super) struct Refiner {
 
 impl Refiner {
     pub fn new() -> Self {
-        // The weight falls to a seventh at the window's edge, so that what enters or leaves there hardly matters.
+        // The weight falls to a seventh at the window's edge, so that what enters or leaves there hardly
+        // matters.
         let sigma = RADIUS as f32 / 2.0;
         let squared = |i: usize| (i as f32 - RADIUS as f32).powi(2);
         let weight = |i: usize| (-(squared(i % SIDE) + squared(i / SIDE)) / (2.0 * sigma * sigma)).exp();
         Self { weights: std::array::from_fn(weight) }
     }
 
-    /// The shift of the corner at a pixel at least `RADIUS + 1` from the border, pixels; `None` where there is no corner:
-    /// its place along an edge is not determined, or it would be somewhere else.
+    /// The shift of the corner at a pixel at least `RADIUS + 1` from the border, pixels; `None` where there
+    /// is no corner: its place along an edge is not determined, or it would be somewhere else.
     ///
-    /// Every gradient `g` at offset `o` says that the corner lies on the edge through `o`: `g·(shift − o) = 0`. The
-    /// weighted least squares solution is `(Σ w g gᵀ)⁻¹ Σ w g gᵀ o`.
+    /// Every gradient `g` at offset `o` says that the corner lies on the edge through `o`: `g·(shift − o) =
+    /// 0`. The weighted least squares solution is `(Σ w g gᵀ)⁻¹ Σ w g gᵀ o`.
     pub fn shift(&self, image: &GrayImage, x: u32, y: u32) -> Option<(f32, f32)> {
         let (width, pixels) = (image.width() as usize, image.as_raw());
         let top_left = (y as usize - RADIUS as usize) * width + x as usize - RADIUS as usize;

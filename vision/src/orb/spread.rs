@@ -8,10 +8,10 @@ use super::fast::Corner;
 
 /// Keeps at most `quota` of `corners`, which lie in an image of `width` x `height` pixels.
 ///
-/// The image is cut into squares, squares with more than one corner into quarters, and so on, all of one size before any
-/// smaller one and of equal ones the fullest first, until `spread_share * quota` are occupied. Each keeps its strongest
-/// corner; the rest of the quota goes to the strongest of all others. Reorders `corners`; what is kept comes in reading
-/// order.
+/// The image is cut into squares, squares with more than one corner into quarters, and so on, all of one size
+/// before any smaller one and of equal ones the fullest first, until `spread_share * quota` are occupied.
+/// Each keeps its strongest corner; the rest of the quota goes to the strongest of all others. Reorders
+/// `corners`; what is kept comes in reading order.
 pub(super) fn spread(
     corners: &mut [Corner],
     width: u32,

@@ -28,8 +28,8 @@ fn turned(image: &GrayImage, degrees: f32) -> GrayImage {
     })
 }
 
-/// Number of matches, and of those that `moved` puts within 3 pixels of the coarser keypoint's level of where they
-/// should be.
+/// Number of matches, and of those that `moved` puts within 3 pixels of the coarser keypoint's level of where
+/// they should be.
 fn matches(a: &Features, b: &Features, moved: impl Fn(f32, f32) -> (f32, f32)) -> (usize, usize) {
     let found = match_brute_force(a, b, &MatchConfig::default());
     let is_right = |m: &&crate::matching::DescriptorMatch| {

@@ -24,22 +24,24 @@ pub struct PlaceCandidate {
     pub score: f32,
     /// Number of query descriptors that voted for this image.
     pub n_votes: u32,
-    /// The votes: `first_idx` into the queried descriptors, `second_idx` into the stored image's. One for each query
-    /// descriptor, not mutual; a start for geometric verification, not all matches there are.
+    /// The votes: `first_idx` into the queried descriptors, `second_idx` into the stored image's. One for
+    /// each query descriptor, not mutual; a start for geometric verification, not all matches there are.
     pub matches: Vec<DescriptorMatch>,
 }
 
 /// How places are indexed.
 ///
-/// Measured on 7-Scenes RedKitchen, 250 images of 1000 features stored: of 132 queries with a true neighbour (within
-/// 0.3 m and 20 degrees, but over 2 s apart) 85 % had one among the first five, in 1.6 ms a query. One to four trees,
-/// leaves of 50 to 200 and distances of 35 to 55 gave 80 to 85 %, differences the sample can hardly tell from chance:
-/// the defaults were chosen for their time. On the 12 queries also matched all against all, that found 11, the trees 10.
+/// Measured on 7-Scenes RedKitchen, 250 images of 1000 features stored: of 132 queries with a true neighbour
+/// (within 0.3 m and 20 degrees, but over 2 s apart) 85 % had one among the first five, in 1.6 ms a query.
+/// One to four trees, leaves of 50 to 200 and distances of 35 to 55 gave 80 to 85 %, differences the sample
+/// can hardly tell from chance: the defaults were chosen for their time. On the 12 queries also matched all
+/// against all, that found 11, the trees 10.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlaceConfig {
     /// Trees, at least 1. Each finds matches that others miss and costs its own time and memory. Default 2.
     pub n_trees: usize,
-    /// A leaf is divided when it holds more entries, at least 2. Larger leaves take longer and hardly find more. Default 50.
+    /// A leaf is divided when it holds more entries, at least 2. Larger leaves take longer and hardly find
+    /// more. Default 50.
     pub max_leaf_size: usize,
     /// Descriptors vote for one another up to this distance, bits. Default 45.
     pub max_distance: u32,
@@ -71,7 +73,8 @@ pub struct PlaceIndex {
 struct Slot {
     image_id: u64,
     n_descriptors: usize,
-    /// Whether the image is still wanted. Entries of dead images are passed over, and swept out from time to time.
+    /// Whether the image is still wanted. Entries of dead images are passed over, and swept out from time to
+    /// time.
     is_alive: bool,
 }
 
@@ -142,15 +145,16 @@ impl PlaceIndex {
         self.n_live_entries += descriptors.len();
     }
 
-    /// Takes an image out; `false` if it was not there. Its descriptors are swept out later, together with others.
+    /// Takes an image out; `false` if it was not there. Its descriptors are swept out later, together with
+    /// others.
     pub fn remove(&mut self, image_id: u64) -> bool {
         let Some(slot) = self.slot_of_image.remove(&image_id) else { return false };
         let record = &mut self.slots[slot as usize];
         record.is_alive = false;
         self.n_live_entries -= record.n_descriptors;
         self.n_dead_entries += record.n_descriptors;
-        // Sweeping when a third of all entries is dead costs each removal a few of its own entries' time, and bounds
-        // memory by one and a half times what is needed.
+        // Sweeping when a third of all entries is dead costs each removal a few of its own entries' time, and
+        // bounds memory by one and a half times what is needed.
         if 2 * self.n_dead_entries > self.n_live_entries {
             self.sweep();
         }
@@ -173,8 +177,8 @@ impl PlaceIndex {
         self.query_where(descriptors, max_results, |_| true)
     }
 
-    /// As [`PlaceIndex::query`], among the images whose id satisfies `is_wanted` only, for example those that do not
-    /// see the same points anyway.
+    /// As [`PlaceIndex::query`], among the images whose id satisfies `is_wanted` only, for example those that
+    /// do not see the same points anyway.
     pub fn query_where(
         &self,
         descriptors: &[Descriptor],

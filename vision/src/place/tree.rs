@@ -11,7 +11,8 @@ pub(super) struct Owner {
     pub feature_idx: u32,
 }
 
-/// A tree that uses only the bits `first_bit`, `first_bit + bit_step`, ... so that several trees ask different bits.
+/// A tree that uses only the bits `first_bit`, `first_bit + bit_step`, ... so that several trees ask
+/// different bits.
 #[derive(Clone, Debug)]
 pub(super) struct Tree {
     nodes: Vec<Node>,
@@ -93,7 +94,8 @@ impl Tree {
         }
     }
 
-    /// Adds an entry. Entries of images that are no longer alive are dropped from a leaf before it is divided.
+    /// Adds an entry. Entries of images that are no longer alive are dropped from a leaf before it is
+    /// divided.
     pub fn insert(&mut self, descriptor: Descriptor, owner: Owner, is_alive: &impl Fn(u32) -> bool) {
         let mut idx = 0;
         loop {
@@ -139,7 +141,8 @@ impl Tree {
 
     /// The compacted form of the old tree's node `idx`; what lies below it is appended to `self.nodes`.
     ///
-    /// The depth of recursion is that of the tree: at most the number of bits, for each is asked only once on a path.
+    /// The depth of recursion is that of the tree: at most the number of bits, for each is asked only once on
+    /// a path.
     fn compacted(&mut self, old: &mut [Node], idx: usize, is_alive: &impl Fn(u32) -> bool) -> Node {
         let (bit, children) = match &mut old[idx] {
             Node::Leaf(leaf) => {

@@ -2,8 +2,8 @@
 
 use crate::GrayImage;
 
-/// Bilinear resizing with buffers kept between calls. Meant for ratios below 2, as between neighbouring pyramid levels:
-/// beyond, pixels are skipped and detail is aliased.
+/// Bilinear resizing with buffers kept between calls. Meant for ratios below 2, as between neighbouring
+/// pyramid levels: beyond, pixels are skipped and detail is aliased.
 #[derive(Clone, Debug, Default)]
 pub struct BilinearResizer {
     columns: ColumnPlan,
@@ -12,10 +12,12 @@ pub struct BilinearResizer {
     lower: Vec<i16>,
 }
 
-/// Interpolation weights are in parts of this many: a position is exact to 1/128 pixel, and a weight fits a signed byte.
+/// Interpolation weights are in parts of this many: a position is exact to 1/128 pixel, and a weight fits a
+/// signed byte.
 const ONE: i16 = 64;
 
-/// Linear interpolation between old pixels `left` and `left + 1`; `weight` parts of [`ONE`] go to the right one.
+/// Linear interpolation between old pixels `left` and `left + 1`; `weight` parts of [`ONE`] go to the right
+/// one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Tap {
     left: u32,
@@ -34,7 +36,8 @@ impl Tap {
 }
 
 impl BilinearResizer {
-    /// Writes `image`, resized to `new_width` x `new_height`, into `out`, reusing its buffer. An empty image gives black.
+    /// Writes `image`, resized to `new_width` x `new_height`, into `out`, reusing its buffer. An empty image
+    /// gives black.
     pub fn resize(&mut self, image: &GrayImage, new_width: u32, new_height: u32, out: &mut GrayImage) {
         out.reshape(new_width, new_height);
         if image.is_empty() || out.is_empty() {

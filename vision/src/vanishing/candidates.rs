@@ -7,8 +7,8 @@ use super::plane::SegmentPlane;
 use super::refine::{Fit, fit, may_be_same, sin_between};
 use super::significance::probability_of_at_least;
 
-/// Candidates whose directions differ by no more than this many standard deviations may be one, however far they are
-/// apart: the lines of one strip of the image hardly tell where along it they meet.
+/// Candidates whose directions differ by no more than this many standard deviations may be one, however far
+/// they are apart: the lines of one strip of the image hardly tell where along it they meet.
 const MERGE_SIGMAS: f64 = 3.0;
 /// The part of both candidates' segments that must accept their common direction for them to be one.
 const MERGE_SHARE: f64 = 0.8;
@@ -62,13 +62,14 @@ impl<'a> Candidates<'a> {
 
     /// The square of the number of standard deviations of the residual a segment may be off.
     ///
-    /// The endpoints deviate from the line through the middle by half the difference of their noise, which has `1 /
-    /// sqrt 2` of their standard deviation.
+    /// The endpoints deviate from the line through the middle by half the difference of their noise, which
+    /// has `1 / sqrt 2` of their standard deviation.
     pub fn gate2(&self) -> f64 {
         2.0 * self.config.max_deviation * self.config.max_deviation
     }
 
-    /// Fits and assigns in turn until settled, then drops what may be chance. By number of members at the end.
+    /// Fits and assigns in turn until settled, then drops what may be chance. By number of members at the
+    /// end.
     pub fn settle(&mut self) {
         self.fit_and_merge();
         for _ in 0..self.config.n_rounds {
@@ -82,7 +83,8 @@ impl<'a> Candidates<'a> {
         self.drop_insignificant();
     }
 
-    /// Gives each segment to the candidate it deviates from least, measured by its noise; the first of several.
+    /// Gives each segment to the candidate it deviates from least, measured by its noise; the first of
+    /// several.
     fn assign(&mut self) {
         let gate2 = self.gate2();
         for (plane, assigned) in self.planes.iter().zip(&mut self.assignment) {
@@ -130,8 +132,8 @@ impl<'a> Candidates<'a> {
         }
     }
 
-    /// Fits each candidate to its members, drops those that are too few or leave it undetermined, and merges those
-    /// that are one. Leaves them by number of members.
+    /// Fits each candidate to its members, drops those that are too few or leave it undetermined, and merges
+    /// those that are one. Leaves them by number of members.
     fn fit_and_merge(&mut self) {
         let planes = self.planes;
         for candidate in &mut self.list {
@@ -196,8 +198,8 @@ impl<'a> Candidates<'a> {
         if self.is_known(direction) { self.config.min_segments_known } else { self.config.min_segments }
     }
 
-    /// Drops candidates that as many segments without any order could show. In order of size, each being tried on the
-    /// segments that the larger ones do not explain.
+    /// Drops candidates that as many segments without any order could show. In order of size, each being
+    /// tried on the segments that the larger ones do not explain.
     fn drop_insignificant(&mut self) {
         let mut explained = vec![false; self.planes.len()];
         let mut list = std::mem::take(&mut self.list);
@@ -215,9 +217,9 @@ impl<'a> Candidates<'a> {
         self.list = list;
     }
 
-    /// A plane turned at random meets a direction to within the sine `s` with probability `s`. Two segments make
-    /// a direction, any others accept it by chance; there are as many directions as pairs, or where it is known
-    /// beforehand, as pairs that make one near it.
+    /// A plane turned at random meets a direction to within the sine `s` with probability `s`. Two segments
+    /// make a direction, any others accept it by chance; there are as many directions as pairs, or where it
+    /// is known beforehand, as pairs that make one near it.
     fn log10_false_alarms(&self, candidate: &Candidate, explained: &[bool], buffer: &mut Vec<f64>) -> f64 {
         let n_sigma = self.gate2().sqrt();
         let free = || self.planes.iter().zip(explained).filter(|(_, explained)| !**explained);

@@ -1,39 +1,41 @@
-//! How vanishing points are looked for.
+//! Configuration of vanishing-point estimation.
 
 use thiserror::Error;
 
-/// How vanishing points are looked for. The defaults suit endpoints known to 0.3 to 1 pixel at a focal length of about
-/// 500 pixels, but nothing depends on either: noise comes with each segment.
+/// How vanishing points are looked for. The defaults suit endpoints known to 0.3 to 1 pixel at a focal length
+/// of about 500 pixels, but nothing depends on either: noise comes with each segment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VanishingConfig {
-    /// Only this many segments are looked at, the longest; the rest is in no vanishing point. Linking takes time with
-    /// the square of it. At least 2. Default 200.
+    /// Only this many segments are looked at, the longest; the rest is in no vanishing point. Linking takes
+    /// time with the square of it. At least 2. Default 200.
     pub max_segments: usize,
-    /// Directions tried, known ones included; 300 to 500 are enough, since all are refined. At least 1. Default 500.
+    /// Directions tried, known ones included; 300 to 500 are enough, since all are refined. At least 1.
+    /// Default 500.
     pub n_hypotheses: usize,
-    /// A segment accepts a direction that its endpoints deviate from by no more than this, each to its side of the
-    /// line from its middle to the vanishing point, in standard deviations of an endpoint (2 pixels for endpoints
-    /// known to 1 pixel). Noise alone moves them by `1 / sqrt 2`, but the direction is uncertain as well.
+    /// A segment accepts a direction that its endpoints deviate from by no more than this, each to its side
+    /// of the line from its middle to the vanishing point, in standard deviations of an endpoint (2 pixels
+    /// for endpoints known to 1 pixel). Noise alone moves them by `1 / sqrt 2`, but the direction is
+    /// uncertain as well.
     ///
-    /// Default 2. Over 100 scenes of 3 x 40 segments and 30 others: 1.5 left 0.18 duplicates a scene and errors up to
-    /// 2.6 degrees, 2 left 0.05 and 1.4 degrees; 2.3 does no better there, and misses a third of the directions of
-    /// 15 segments under 60 pixels where 2 misses a fifth.
+    /// Default 2. Over 100 scenes of 3 x 40 segments and 30 others: 1.5 left 0.18 duplicates a scene and
+    /// errors up to 2.6 degrees, 2 left 0.05 and 1.4 degrees; 2.3 does no better there, and misses a third of
+    /// the directions of 15 segments under 60 pixels where 2 misses a fifth.
     pub max_deviation: f64,
     /// Vanishing points need this many segments. Chance must be excluded all the same, see
     /// `max_log10_false_alarms`. At least 3. Default 5.
     pub min_segments: usize,
     /// As `min_segments`, near a direction known beforehand. At least 3. Default 3.
     pub min_segments_known: usize,
-    /// The expected number of vanishing points that would be found among as many segments without any order, if this
-    /// one were taken: its logarithm to base 10 must be lower. Default -1: one of ten frames without order shows a
-    /// vanishing point.
+    /// The expected number of vanishing points that would be found among as many segments without any order,
+    /// if this one were taken: its logarithm to base 10 must be lower. Default -1: one of ten frames without
+    /// order shows a vanishing point.
     pub max_log10_false_alarms: f64,
     /// Vanishing points nearer to one another are one, degrees. Default 2.
     pub merge_deg: f64,
     /// Directions with a greater standard deviation are not worth reporting, degrees. Default 3.
     pub max_sigma_deg: f64,
-    /// How far a prediction may be off, degrees: segments within this much (and their noise) are tried with it, and
-    /// what is further from all predictions came from none of them. Default 3.
+    /// How far a prediction may be off, degrees: segments within this much (and their noise) are tried with
+    /// it, and what is further from all predictions came from none of them. Default 3.
     pub prediction_gate_deg: f64,
     /// Rounds of giving segments to the nearest direction and fitting anew. At least 1. Default 3.
     pub n_rounds: usize,

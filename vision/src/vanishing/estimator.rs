@@ -14,19 +14,20 @@ use super::sampling::sample_pairs;
 /// The common direction of some parallel lines of the scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VanishingPoint {
-    /// Unit vector in the camera frame. It equals its negative: the last component that is not zero is positive.
+    /// Unit vector in the camera frame. It equals its negative: the last component that is not zero is
+    /// positive.
     pub direction: Vector3<f64>,
-    /// Covariance of the direction, radians²: symmetric, of rank 2, zero along the direction. For any two tangents
-    /// `B` (3 x 2), `B^T C B` is that of their coordinates.
+    /// Covariance of the direction, radians²: symmetric, of rank 2, zero along the direction. For any two
+    /// tangents `B` (3 x 2), `B^T C B` is that of their coordinates.
     pub covariance: Matrix3<f64>,
-    /// The segments that support it, ascending indices into the segments given. A segment supports one vanishing
-    /// point at most.
+    /// The segments that support it, ascending indices into the segments given. A segment supports one
+    /// vanishing point at most.
     pub segments: Vec<u32>,
     /// The index of the known or predicted direction it comes from: the one nearest to it, within
     /// [`VanishingConfig::prediction_gate_deg`].
     pub prediction: Option<u32>,
-    /// Logarithm to base 10 of how many vanishing points as good as this would be expected by chance: the lower, the
-    /// more certain.
+    /// Logarithm to base 10 of how many vanishing points as good as this would be expected by chance: the
+    /// lower, the more certain.
     pub log10_false_alarms: f64,
 }
 
@@ -35,14 +36,14 @@ pub struct VanishingPoint {
 pub struct VanishingPoints {
     /// By number of supporting segments, most first.
     pub points: Vec<VanishingPoint>,
-    /// The share of the long segments ([`VanishingConfig::long_segment_deg`]) that support one of the points; 1 if
-    /// there are none. When it falls under 0.6 after [`VanishingEstimator::refit`], there is something new to find
-    /// with [`VanishingEstimator::cluster`], or nothing but clutter.
+    /// The share of the long segments ([`VanishingConfig::long_segment_deg`]) that support one of the points;
+    /// 1 if there are none. When it falls under 0.6 after [`VanishingEstimator::refit`], there is something
+    /// new to find with [`VanishingEstimator::cluster`], or nothing but clutter.
     pub explained: f64,
 }
 
-/// Finds vanishing points. Keeps buffers, but nothing that matters, from one call to the next: results depend on the
-/// seed and the arguments alone.
+/// Finds vanishing points. Keeps buffers, but nothing that matters, from one call to the next: results depend
+/// on the seed and the arguments alone.
 #[derive(Clone, Debug)]
 pub struct VanishingEstimator {
     config: VanishingConfig,
@@ -78,10 +79,10 @@ impl VanishingEstimator {
 
     /// Finds the vanishing points of an image, by J-Linkage.
     ///
-    /// `known` directions, in the camera frame, are tried besides those the segments propose, and need fewer segments
-    /// to be believed: the last frame's vanishing points and the world's directions, turned by the predicted rotation.
-    /// They keep the clusters stable over time. Of any length and sign; those that are zero or not finite are passed
-    /// over.
+    /// `known` directions, in the camera frame, are tried besides those the segments propose, and need fewer
+    /// segments to be believed: the last frame's vanishing points and the world's directions, turned by the
+    /// predicted rotation. They keep the clusters stable over time. Of any length and sign; those that are
+    /// zero or not finite are passed over.
     pub fn cluster(&mut self, segments: &[SegmentPlane], known: &[Vector3<f64>]) -> VanishingPoints {
         self.select(segments);
         let known = self.usable(known);
@@ -100,8 +101,8 @@ impl VanishingEstimator {
         self.report(segments, candidates.into_list(), &known)
     }
 
-    /// Follows vanishing points from frame to frame: takes the segments near each of the `predicted` directions and
-    /// fits to them. Finds nothing new, but takes a small part of the time.
+    /// Follows vanishing points from frame to frame: takes the segments near each of the `predicted`
+    /// directions and fits to them. Finds nothing new, but takes a small part of the time.
     ///
     /// Directions as in [`cluster`](Self::cluster). Every point returned comes from one of them.
     pub fn refit(&mut self, segments: &[SegmentPlane], predicted: &[Vector3<f64>]) -> VanishingPoints {
@@ -137,7 +138,8 @@ impl VanishingEstimator {
         self.planes.extend(self.selected.iter().map(|&idx| segments[idx as usize]));
     }
 
-    /// The known directions that are some, with their indices, as unit vectors. No more than hypotheses wanted.
+    /// The known directions that are some, with their indices, as unit vectors. No more than hypotheses
+    /// wanted.
     fn usable(&self, known: &[Vector3<f64>]) -> Vec<(u32, Vector3<f64>)> {
         let with_index = (0..).zip(known).filter_map(|(idx, direction)| Some((idx, unit(direction)?)));
         with_index.take(self.config.n_hypotheses).collect()

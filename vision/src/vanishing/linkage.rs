@@ -1,5 +1,5 @@
-//! J-Linkage: clusters of segments that agree about which directions they accept [Toldo & Fusiello, "Robust multiple
-//! structures estimation with J-linkage", ECCV 2008; for vanishing points Tardif, ICCV 2009].
+//! J-Linkage: clusters of segments that agree about which directions they accept [Toldo & Fusiello, "Robust
+//! multiple structures estimation with J-linkage", ECCV 2008; for vanishing points Tardif, ICCV 2009].
 
 use nalgebra::Vector3;
 
@@ -54,8 +54,8 @@ impl Neighbour {
 }
 
 impl Linkage {
-    /// Merges the nearest two clusters, ties by lower index, until no two share a hypothesis; returns those of at
-    /// least `min_size` segments. `gate2`: see [`SegmentPlane::excess`].
+    /// Merges the nearest two clusters, ties by lower index, until no two share a hypothesis; returns those
+    /// of at least `min_size` segments. `gate2`: see [`SegmentPlane::excess`].
     pub fn link(
         &mut self,
         planes: &[SegmentPlane],
@@ -132,8 +132,8 @@ impl Linkage {
         (n_common > 0).then_some(Neighbour { idx, n_common, n_union })
     }
 
-    /// The nearest of the live clusters after the one at `position`, the first of several; `None` if they share
-    /// nothing with it.
+    /// The nearest of the live clusters after the one at `position`, the first of several; `None` if they
+    /// share nothing with it.
     fn nearest_after(&self, position: usize) -> Option<Neighbour> {
         let of = self.alive[position];
         let mut best: Option<Neighbour> = None;
@@ -159,7 +159,8 @@ impl Linkage {
         best.map(|(idx, neighbour)| (idx, neighbour.idx))
     }
 
-    /// Merges cluster `from` into cluster `into`, which is before it, and brings distances and neighbours up to date.
+    /// Merges cluster `from` into cluster `into`, which is before it, and brings distances and neighbours up
+    /// to date.
     fn merge(&mut self, into: u32, from: u32) {
         let n = self.label.len();
         let (i, j) = (into as usize, from as usize);

@@ -1,9 +1,9 @@
 //! Vanishing points: the directions that the parallel lines of a scene have in common, seen from one image.
 //!
-//! - [`SegmentPlane`]: what is needed of an image segment, made from its undistorted endpoints. With planes instead of
-//!   pixels, a vanishing point at infinity is as good as any other.
-//! - [`VanishingEstimator`]: finds them anew ([`cluster`](VanishingEstimator::cluster), J-Linkage, for key frames) or
-//!   follows predicted ones ([`refit`](VanishingEstimator::refit), for all other frames).
+//! - [`SegmentPlane`]: what is needed of an image segment, made from its undistorted endpoints. With planes
+//!   instead of pixels, a vanishing point at infinity is as good as any other.
+//! - [`VanishingEstimator`]: finds them anew ([`cluster`](VanishingEstimator::cluster), J-Linkage, for key
+//!   frames) or follows predicted ones ([`refit`](VanishingEstimator::refit), for all other frames).
 //! - [`rotation_from_directions`]: the camera's rotation from two or more that are known in the world.
 //!
 //! No assumption is made of how the directions lie to one another.

@@ -7,9 +7,11 @@ const MIN_LENGTH_RAD: f64 = 1e-4;
 /// `sin t sin(a - t) / sin² a` a quarter of the way `t` along a (short) segment of length `a`.
 const INSIDE_PRODUCT: f64 = 3.0 / 16.0;
 
-/// The interpretation plane of one image segment, in the camera frame, and how noise in its endpoints turns it.
+/// The interpretation plane of one image segment, in the camera frame, and how noise in its endpoints turns
+/// it.
 ///
-/// A direction `d` of a 3D line that projects onto the segment lies in the plane: `normal · d = 0`. Always finite.
+/// A direction `d` of a 3D line that projects onto the segment lies in the plane: `normal · d = 0`. Always
+/// finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SegmentPlane {
     start: Vector3<f64>,
@@ -27,20 +29,21 @@ pub struct SegmentPlane {
 impl SegmentPlane {
     /// From the endpoints in the undistorted, normalised image, `(x / z, y / z)`.
     ///
-    /// `sigma` is the standard deviation of an endpoint across the segment in the same units, `sigma_px / f`; it need
-    /// not be small against the distance from the image centre, where a pixel covers a smaller angle: that is
-    /// accounted for. `None` if anything is not finite, the endpoints coincide or `sigma` is not positive.
+    /// `sigma` is the standard deviation of an endpoint across the segment in the same units, `sigma_px / f`;
+    /// it need not be small against the distance from the image centre, where a pixel covers a smaller angle:
+    /// that is accounted for. `None` if anything is not finite, the endpoints coincide or `sigma` is not
+    /// positive.
     pub fn from_normalised(start: &Vector2<f64>, end: &Vector2<f64>, sigma: f64) -> Option<Self> {
         let (start, end) = (start.push(1.0), end.push(1.0));
         let normal = start.cross(&end).try_normalize(0.0)?;
-        // One unit across the image line lifts the point by this sine of the angle between image and plane, seen
-        // from its distance.
+        // One unit across the image line lifts the point by this sine of the angle between image and plane,
+        // seen from its distance.
         let across = normal.xy().norm() * sigma;
         Self::new(&start, &end, across / start.norm(), across / end.norm())
     }
 
-    /// From the rays to the endpoints, of any positive length. `sigma_rad` is the standard deviation of the angle by
-    /// which an endpoint leaves the plane.
+    /// From the rays to the endpoints, of any positive length. `sigma_rad` is the standard deviation of the
+    /// angle by which an endpoint leaves the plane.
     ///
     /// `None` if anything is not finite, the rays are parallel or opposite, or `sigma_rad` is not positive.
     pub fn from_rays(start: &Vector3<f64>, end: &Vector3<f64>, sigma_rad: f64) -> Option<Self> {
@@ -101,9 +104,9 @@ impl SegmentPlane {
 
     /// Variance of the [`residual`](Self::residual) of a direction in the plane.
     ///
-    /// An endpoint's noise turns the plane about the other endpoint, so with `t` the angle from the start to the
-    /// direction and `a` the length, `(σ_start² sin²(a - t) + σ_end² sin² t) / sin² a`: great for short segments and
-    /// directions far from them.
+    /// An endpoint's noise turns the plane about the other endpoint, so with `t` the angle from the start to
+    /// the direction and `a` the length, `(σ_start² sin²(a - t) + σ_end² sin² t) / sin² a`: great for short
+    /// segments and directions far from them.
     #[inline]
     pub fn variance(&self, direction: &Vector3<f64>) -> f64 {
         self.start_arm.dot(direction).powi(2) + self.end_arm.dot(direction).powi(2)
@@ -115,9 +118,9 @@ impl SegmentPlane {
         self.start_arm * self.start_arm.transpose() + self.end_arm * self.end_arm.transpose()
     }
 
-    /// Not positive if the direction can be that of the segment's line: if the residual is within `gate2.sqrt()`
-    /// standard deviations, and the direction does not point into the middle half of the segment. A line appears to
-    /// end at its vanishing point, so that a segment never reaches over it.
+    /// Not positive if the direction can be that of the segment's line: if the residual is within
+    /// `gate2.sqrt()` standard deviations, and the direction does not point into the middle half of the
+    /// segment. A line appears to end at its vanishing point, so that a segment never reaches over it.
     #[inline]
     pub(super) fn excess(&self, direction: &Vector3<f64>, gate2: f64) -> f64 {
         let residual = self.residual(direction);

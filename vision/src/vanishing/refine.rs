@@ -9,8 +9,8 @@ use super::plane::SegmentPlane;
 const N_ROUNDS: usize = 4;
 /// Where Cauchy's weight has fallen to a half, standard deviations: 95 % efficient under Gaussian noise.
 const CAUCHY_SCALE: f64 = 2.385;
-/// Normals must spread this many times wider (variance) than their noise alone makes them. Below, the segments are as
-/// good as one image line and leave the direction along it open.
+/// Normals must spread this many times wider (variance) than their noise alone makes them. Below, the
+/// segments are as good as one image line and leave the direction along it open.
 const MIN_SPREAD_TO_NOISE: f64 = 4.0;
 
 /// A direction fitted to segments.
@@ -25,8 +25,8 @@ pub(super) struct Fit {
 impl Fit {
     /// Standard deviation along the worst determined tangent, radians.
     pub fn worst_sigma(&self) -> f64 {
-        // Of a rank 2 matrix the trace is the sum of the two eigenvalues, the sum of the principal minors their
-        // product.
+        // Of a rank 2 matrix the trace is the sum of the two eigenvalues, the sum of the principal minors
+        // their product.
         let c = &self.covariance;
         let minor = |i: usize, j: usize| c[(i, i)] * c[(j, j)] - c[(i, j)] * c[(j, i)];
         let (half_sum, product) = (c.trace() / 2.0, minor(0, 1) + minor(0, 2) + minor(1, 2));
@@ -55,8 +55,8 @@ impl Moments {
         moments
     }
 
-    /// The information without what noise adds, for noise as strong as the residuals show, but no stronger than
-    /// stated. [Kanatani, "Renormalization for unbiased estimation", ICCV 1993]
+    /// The information without what noise adds, for noise as strong as the residuals show, but no stronger
+    /// than stated. [Kanatani, "Renormalization for unbiased estimation", ICCV 1993]
     fn without_noise(&self, direction: &Vector3<f64>) -> Matrix3<f64> {
         let observed = direction.dot(&(self.normals * direction));
         let expected = direction.dot(&(self.noise * direction));
@@ -71,8 +71,8 @@ impl Moments {
     }
 }
 
-/// The direction nearest to lying in all planes: `argmin sum w (m · d)²`, `w` the inverse variance of the residual
-/// times Cauchy's weight, by Gauss-Newton steps on the sphere from `start`.
+/// The direction nearest to lying in all planes: `argmin sum w (m · d)²`, `w` the inverse variance of the
+/// residual times Cauchy's weight, by Gauss-Newton steps on the sphere from `start`.
 ///
 /// `None` if the segments leave the direction undetermined.
 pub(super) fn fit<'a>(
@@ -111,8 +111,8 @@ fn tangent_basis(direction: &Vector3<f64>) -> Matrix3x2<f64> {
     Matrix3x2::from_columns(&[first, direction.cross(&first)])
 }
 
-/// Whether two fitted directions differ by no more than `n_sigma` of their common uncertainty along the way from one
-/// to the other.
+/// Whether two fitted directions differ by no more than `n_sigma` of their common uncertainty along the way
+/// from one to the other.
 pub(super) fn may_be_same(a: &Fit, b: &Fit, n_sigma: f64) -> bool {
     let sign = if a.direction.dot(&b.direction) < 0.0 { -1.0 } else { 1.0 };
     let difference = a.direction * sign - b.direction;

@@ -4,10 +4,12 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::plane::unit;
 
-/// The sine of 20 degrees: two directions nearer to parallel than this leave the turn about them too uncertain.
+/// The sine of 20 degrees: two directions nearer to parallel than this leave the turn about them too
+/// uncertain.
 const MIN_SIN_BETWEEN: f64 = 0.342_02;
 
-/// A direction known in the world and seen by the camera. Neither need be of unit length, and signs do not matter.
+/// A direction known in the world and seen by the camera. Neither need be of unit length, and signs do not
+/// matter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DirectionPair {
     /// In the world.
@@ -18,12 +20,12 @@ pub struct DirectionPair {
     pub weight: f64,
 }
 
-/// The rotation `camera_from_world` that turns the directions of the world best into those seen: `argmin sum w |c - R
-/// d|²` [Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976].
+/// The rotation `camera_from_world` that turns the directions of the world best into those seen: `argmin sum
+/// w |c - R d|²` [Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976].
 ///
-/// Directions have no sign: each pair's is taken such that `predicted` turns one to within 90 degrees of the other,
-/// so the prediction must be right to 45 degrees or so. Pairs that are not finite or weigh nothing are passed over;
-/// `None` if no two directions at least 20 degrees apart remain.
+/// Directions have no sign: each pair's is taken such that `predicted` turns one to within 90 degrees of the
+/// other, so the prediction must be right to 45 degrees or so. Pairs that are not finite or weigh nothing are
+/// passed over; `None` if no two directions at least 20 degrees apart remain.
 pub fn rotation_from_directions(
     pairs: &[DirectionPair],
     predicted: &UnitQuaternion<f64>,
@@ -55,11 +57,12 @@ pub fn rotation_from_directions(
     rotation.coords.iter().all(|x| x.is_finite()).then_some(rotation)
 }
 
-/// Every rotation `camera_from_world` under which two directions of the world are where two seen ones are, to within
-/// `tolerance` radians in the angle between them. Rotations nearer than that to one found before are left out, and so is
-/// what exceeds `max_rotations`.
+/// Every rotation `camera_from_world` under which two directions of the world are where two seen ones are, to
+/// within `tolerance` radians in the angle between them. Rotations nearer than that to one found before are
+/// left out, and so is what exceeds `max_rotations`.
 ///
-/// For where nothing is predicted: three directions at right angles can be told apart in 24 ways. [ALGORITHMS 4.3, 7.6]
+/// For where nothing is predicted: three directions at right angles can be told apart in 24 ways.
+/// [method: Rotation from vanishing points]
 pub fn rotation_hypotheses(
     in_world: &[Vector3<f64>],
     in_camera: &[Vector3<f64>],

@@ -6,10 +6,11 @@ use rand_chacha::ChaCha8Rng;
 
 use super::plane::SegmentPlane;
 
-/// The sine of one degree: planes nearer to parallel than this do not say where they meet. Takes out pairs on one
-/// image line.
+/// The sine of one degree: planes nearer to parallel than this do not say where they meet. Takes out pairs on
+/// one image line.
 const MIN_SIN_BETWEEN_PLANES: f64 = 0.017_45;
-/// Half: planes at over 60 degrees rarely belong to parallel lines, unless the vanishing point is in the image.
+/// Half: planes at over 60 degrees rarely belong to parallel lines, unless the vanishing point is in the
+/// image.
 const SIMILAR_COS: f64 = 0.5;
 /// How often a pair of dissimilar planes is tried all the same.
 const DISSIMILAR_SHARE: f64 = 0.5;

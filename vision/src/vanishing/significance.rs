@@ -1,8 +1,8 @@
-//! Whether as many segments would meet by chance: the a-contrario argument [Desolneux, Moisan & Morel, "From Gestalt
-//! Theory to Image Analysis", 2008].
+//! Whether as many segments would meet by chance: the a-contrario argument [Desolneux, Moisan & Morel, "From
+//! Gestalt Theory to Image Analysis", 2008].
 
-/// The probability that at least `k` of independent events happen, of which each has its own `probability`. Exact, in
-/// `O(n k)`; `tail` is a buffer.
+/// The probability that at least `k` of independent events happen, of which each has its own `probability`.
+/// Exact, in `O(n k)`; `tail` is a buffer.
 pub(super) fn probability_of_at_least(
     k: usize,
     probabilities: impl Iterator<Item = f64>,

@@ -1,4 +1,5 @@
-//! Points, points and lines, and global primitives side by side, as the paper's ablation table has them.
+//! Points, points and lines, and global primitives side by side, as the ablation table of Jiang et al. has
+//! them.
 
 use super::Configuration;
 use super::markdown::Table;
@@ -11,8 +12,8 @@ struct Sequence<'a> {
     rows: [Option<&'a Row>; 3],
 }
 
-/// ATE RMSE (median over the runs), its change in per cent, and coverage, by recording; empty unless the rows are an
-/// ablation's.
+/// ATE RMSE (median over the runs), its change in per cent, and coverage, by recording; empty unless the rows
+/// are an ablation's.
 pub fn table(rows: &[Row]) -> String {
     let sequences = sequences(rows);
     if sequences.is_empty() {

@@ -1,4 +1,5 @@
-//! One run in a process of its own: peak memory and the state of caches and threads are then that run's alone.
+//! One run in a process of its own: peak memory and the state of caches and threads are then that run's
+//! alone.
 
 use std::path::PathBuf;
 use std::process::Stdio;

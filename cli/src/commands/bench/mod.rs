@@ -34,7 +34,8 @@ pub struct BenchArgs {
     /// Measure points (P), points and lines (LP), and points, lines and global primitives (GP) side by side
     #[arg(long)]
     ablation: bool,
-    /// Frames as fast as every one is tracked, or as recorded with the server dropping those it has no time for
+    /// Frames as fast as every one is tracked, or as recorded with the server dropping those it has no time
+    /// for
     #[arg(long, value_enum, default_value = "fast")]
     pace: Pace,
     /// Run every stage in turn on one thread
@@ -77,7 +78,7 @@ impl Pace {
 /// Which features are on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Configuration {
-    /// What a session runs with if nothing is asked for.
+    /// The default options of a session.
     Default,
     /// Points.
     P,

@@ -1,7 +1,7 @@
 //! COLMAP's sparse model as text <https://colmap.github.io/format.html>.
 //!
-//! Poses are camera_from_world there as in the map, with the same axes. Pixels are not: COLMAP's origin is the corner of
-//! the top-left pixel, the map's its centre, so everything in pixels moves by half a pixel.
+//! Poses are camera_from_world there as in the map, with the same axes. Pixels are not: COLMAP's origin is
+//! the corner of the top-left pixel, the map's its centre, so everything in pixels moves by half a pixel.
 
 use super::{ColmapPart, Export};
 use crate::error::ApiError;

@@ -1,8 +1,8 @@
 //! The whole map as a file.
 //!
-//! A file needs to know how much is in it before it begins, and should be of one commit. So the map is read from one
-//! commit into a file without a name, at the speed of the disk, and sent from there at the speed of the client: a slow
-//! client keeps neither the database's log from being folded nor the map in memory.
+//! A file needs to know how much is in it before it begins, and should be of one commit. So the map is read
+//! from one commit into a file without a name, at the speed of the disk, and sent from there at the speed of
+//! the client: a slow client keeps neither the database's log from being folded nor the map in memory.
 
 mod colmap;
 mod json;
@@ -64,8 +64,8 @@ impl MapFile {
 }
 
 impl MapQueries {
-    /// The map as a file, as of one commit: of one submap, or, if none is given, in JSON of all of them and otherwise of
-    /// the one with the most key frames, as submaps do not share a frame of reference.
+    /// The map as a file, as of one commit: of one submap, or, if none is given, in JSON of all of them and
+    /// otherwise of the one with the most key frames, as submaps do not share a frame of reference.
     ///
     /// # Errors
     /// If there is no such session, or no room on the disk.

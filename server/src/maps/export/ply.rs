@@ -1,4 +1,5 @@
-//! Polygon file format, ASCII 1.0 (Turk 1994): points, then the ends of the lines, as vertices; lines as edges.
+//! Polygon file format, ASCII 1.0 (Turk 1994): points, then the ends of the lines, as vertices; lines as
+//! edges.
 
 use super::Export;
 use crate::error::ApiError;

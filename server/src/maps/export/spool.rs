@@ -13,7 +13,8 @@ use tokio_stream::wrappers::ReceiverStream;
 /// Bytes written or read at a time.
 const CHUNK_BYTES: usize = 64 << 10;
 
-/// See the module's documentation. The system takes the file away when it is dropped, and when the process ends.
+/// See the module's documentation. The system takes the file away when it is dropped, and when the process
+/// ends.
 pub(super) struct Spool {
     file: File,
     buffer: String,

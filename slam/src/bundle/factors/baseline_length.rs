@@ -6,8 +6,8 @@ use optim::{Factor, Linearized};
 
 /// Distance of a camera from the origin of its reference, against a given length.
 ///
-/// `r(T) = (‖t‖ − length) / σ`, where `t` is the translation of `T`, a `camera_from_reference` (map units). Not defined
-/// for a translation of zero.
+/// `r(T) = (‖t‖ − length) / σ`, where `t` is the translation of `T`, a `camera_from_reference` (map units).
+/// Not defined for a translation of zero.
 #[derive(Clone, Copy, Debug)]
 pub struct BaselineLengthFactor {
     /// The length, map units.

@@ -5,11 +5,11 @@ use geometry::nalgebra::{Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
 use geometry::{Pinhole, PinholeCorrection, Pose, so3};
 use optim::{Factor, Linearized};
 
-/// Distance between a keypoint and the projection of its point, in standard deviations, with the camera's focal length and
-/// principal point as unknowns.
+/// Distance between a keypoint and the projection of its point, in standard deviations, with the camera's
+/// focal length and principal point as unknowns.
 ///
-/// `r(T, c, X) = (z − π_c(T · X)) / σ` as in [`PointReprojectionFactor`](super::PointReprojectionFactor), where
-/// `c = (focal, centre_x, centre_y)` are the members of a [`PinholeCorrection`].
+/// `r(T, c, X) = (z − π_c(T · X)) / σ` as in [`PointReprojectionFactor`](super::PointReprojectionFactor),
+/// where `c = (focal, centre_x, centre_y)` are the members of a [`PinholeCorrection`].
 #[derive(Clone, Copy, Debug)]
 pub struct CalibratedReprojectionFactor {
     /// The ideal camera of the calibration.

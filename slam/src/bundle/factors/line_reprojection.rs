@@ -5,17 +5,18 @@ use geometry::nalgebra::{Matrix2x3, Matrix2x4, Matrix2x6, SMatrix, Vector2, Vect
 use geometry::{OrthonormalLine, Pinhole, Pose, so3};
 use optim::{Factor, Linearized};
 
-/// An image line whose normal is shorter than this, relative to the focal length, is seen end on: the line passes the
-/// camera's centre.
+/// An image line whose normal is shorter than this, relative to the focal length, is seen end on: the line
+/// passes the camera's centre.
 const MIN_NORMAL: f64 = 1e-9;
 
 /// Distances of the two ends of a segment from the projection of its line, in standard deviations.
 ///
-/// `r(T, L) = (l · p_s, l · p_e) / (‖l₁₂‖ σ)` with `l = K n`, where `T` is `camera_from_world`, `n` the moment in the
-/// camera of the line `L`, `K` the projection of moments (pixels), `p_s` and `p_e` the undistorted ends (pixels) and
-/// `σ` their standard deviation across the segment (pixels). Paper, "Line Reprojection Error"; ALGORITHMS 5.2. `L` is
-/// given about the point `origin` of the world (map units), near the line but not on it, where its four parameters are
-/// well conditioned. Not defined for a line through the camera's centre.
+/// `r(T, L) = (l · p_s, l · p_e) / (‖l₁₂‖ σ)` with `l = K n`, where `T` is `camera_from_world`, `n` the
+/// moment in the camera of the line `L`, `K` the projection of moments (pixels), `p_s` and `p_e` the
+/// undistorted ends (pixels) and `σ` their standard deviation across the segment (pixels).
+/// [method: Line reprojection error]. `L` is given about the point `origin` of the world (map units), near
+/// the line but not on it, where its four parameters are well conditioned. Not defined for a line through the
+/// camera's centre.
 #[derive(Clone, Copy, Debug)]
 pub struct LineReprojectionFactor {
     /// The ideal camera.
@@ -72,7 +73,8 @@ impl Factor for LineReprojectionFactor {
     fn linearize(&self, (camera_from_world, line): (&Pose, &OrthonormalLine)) -> Option<Linearized<Self>> {
         let projected = self.project(camera_from_world, line)?;
         let distances = self.distances(&projected.line);
-        // With d = l·p / ‖l₁₂‖: ∂d/∂l = (p − d l₁₂/‖l₁₂‖, 1) / ‖l₁₂‖, and the line is stored divided by its norm.
+        // With d = l·p / ‖l₁₂‖: ∂d/∂l = (p − d l₁₂/‖l₁₂‖, 1) / ‖l₁₂‖, and the line is stored divided by its
+        // norm.
         let normal = projected.line.xy();
         let row = |end: &Vector2<f64>, distance: f64| {
             let across = (end - normal * distance) / projected.norm;

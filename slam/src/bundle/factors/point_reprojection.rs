@@ -4,14 +4,15 @@ use geometry::nalgebra::{Matrix2x3, Matrix2x6, Vector2, Vector3};
 use geometry::{Pinhole, Pose, so3};
 use optim::{Factor, Linearized};
 
-/// Points nearer than this to the camera's plane are not projected, map units: the first map's median depth is 1.
+/// Points nearer than this to the camera's plane are not projected, map units: the first map's median depth
+/// is 1.
 pub(super) const MIN_DEPTH: f64 = 1e-4;
 
 /// Distance between a keypoint and the projection of its point, in standard deviations.
 ///
 /// `r(T, X) = (z − π(T · X)) / σ`, where `T` is `camera_from_world`, `X` the point in the world (map units),
 /// `π` the ideal pinhole projection (pixels), `z` the undistorted keypoint (pixels) and `σ` its standard
-/// deviation (pixels). Paper, "Point Reprojection Error". Not defined for points behind the camera.
+/// deviation (pixels). [method: Point reprojection error]. Not defined for points behind the camera.
 #[derive(Clone, Copy, Debug)]
 pub struct PointReprojectionFactor {
     /// The ideal camera.

@@ -8,8 +8,8 @@ use optim::{Factor, Linearized};
 /// Departure of a relative similarity from what it was measured to be.
 ///
 /// With `E = S_j · S_i⁻¹ · M⁻¹`, the identity when the measurement `M` (`j_from_i`) holds,
-/// `r(S_i, S_j) = [log R_E / σ_r, t_E / σ_t, ln s_E / σ_s]`: rotation (radians), translation (units of `j`) and scale.
-/// The variables are `camera_from_world` with a scale. [ALGORITHMS 7.6]
+/// `r(S_i, S_j) = [log R_E / σ_r, t_E / σ_t, ln s_E / σ_s]`: rotation (radians), translation (units of `j`)
+/// and scale. The variables are `camera_from_world` with a scale. [method: Loop detection and correction]
 #[derive(Clone, Copy, Debug)]
 pub struct RelativeSimilarityFactor {
     /// The inverse of the measured `j_from_i`.

@@ -7,10 +7,11 @@ use optim::{Factor, Linearized};
 
 /// Two estimates of the same point, each held against the keypoint that sees the other.
 ///
-/// `r(S) = [(z_t − π(T_t · S · X_s)) / σ_t, (z_s − π(T_s · S⁻¹ · X_t)) / σ_s]`, where `S` is `target_from_source`
-/// (worlds of reference, each in its own map units), `X` the point in either world, `T` a `camera_from_world` of either
-/// side, `z` its undistorted keypoint (pixels) and `σ` the keypoint's standard deviation (pixels). Not defined for
-/// points behind a camera. [ALGORITHMS 7.6]
+/// `r(S) = [(z_t − π(T_t · S · X_s)) / σ_t, (z_s − π(T_s · S⁻¹ · X_t)) / σ_s]`, where `S` is
+/// `target_from_source` (worlds of reference, each in its own map units), `X` the point in either world, `T`
+/// a `camera_from_world` of either side, `z` its undistorted keypoint (pixels) and `σ` the keypoint's
+/// standard deviation (pixels). Not defined for points behind a camera.
+/// [method: Loop detection and correction]
 #[derive(Clone, Copy, Debug)]
 pub struct SimilarityReprojectionFactor {
     /// The sighting of the point on the target's side.

@@ -6,10 +6,11 @@ use optim::{Factor, Linearized};
 
 /// Sine of the angle between a line and its global primitive, in standard deviations.
 ///
-/// `r(L, d) = (u × d) / σ`, where `u` is the unit direction of the line `L` and `d` that of the primitive, both in the
-/// world, and `σ` the standard deviation of the angle (radians). Paper, "Tangent Space Optimization", where the error is
-/// `|u · d − 1|`: its derivative vanishes at the solution, that of the cross product does not, and it is blind to the
-/// sign of either. Of the three components two are independent. ALGORITHMS 6.4.
+/// `r(L, d) = (u × d) / σ`, where `u` is the unit direction of the line `L` and `d` that of the primitive,
+/// both in the world, and `σ` the standard deviation of the angle (radians). In Jiang et al. (eq. 17) the
+/// error is `|u · d − 1|`: its derivative vanishes at the solution, that of the cross product does not, and
+/// it is blind to the sign of either. Of the three components two are independent.
+/// [method: Structural consistency]
 #[derive(Clone, Copy, Debug)]
 pub struct StructuralConsistencyFactor {
     /// One over the standard deviation of the angle, 1/radians.

@@ -5,17 +5,18 @@ use geometry::nalgebra::{Matrix1x2, Matrix1x3, Matrix1x6, Vector1, Vector2, Vect
 use geometry::{Direction, Pinhole, Pose, so3};
 use optim::{Factor, Linearized};
 
-/// A vanishing point nearer to the segment's middle than this many of its lengths says nothing about its direction.
+/// A vanishing point nearer to the segment's middle than this many of its lengths says nothing about its
+/// direction.
 const MIN_DISTANCE_LENGTHS: f64 = 1.0;
 
-/// Distance of a segment's end from the line that joins its middle to the vanishing point of a direction, in standard
-/// deviations.
+/// Distance of a segment's end from the line that joins its middle to the vanishing point of a direction, in
+/// standard deviations.
 ///
-/// `r(T, d) = (p · h) / (‖h₁₂‖ σ)` with `h = q × K R d`, where `T` is `camera_from_world` with rotation `R`, `d` the
-/// direction in the world, `q` the segment's middle and `p` its end (undistorted, pixels) and `σ` the standard deviation
-/// of the end across the segment (pixels). The start's distance is the same with the opposite sign. Paper, "Global
-/// Structure Constraint"; ALGORITHMS 6.2 (b). Works for vanishing points at infinity; not defined where the vanishing
-/// point lies on the segment.
+/// `r(T, d) = (p · h) / (‖h₁₂‖ σ)` with `h = q × K R d`, where `T` is `camera_from_world` with rotation `R`,
+/// `d` the direction in the world, `q` the segment's middle and `p` its end (undistorted, pixels) and `σ` the
+/// standard deviation of the end across the segment (pixels). The start's distance is the same with the
+/// opposite sign. [method: Vanishing-point error]. Works for vanishing points at infinity; not defined where
+/// the vanishing point lies on the segment.
 #[derive(Clone, Copy, Debug)]
 pub struct VanishingReprojectionFactor {
     /// The ideal camera.

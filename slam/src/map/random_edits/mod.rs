@@ -1,8 +1,9 @@
 //! Maps edited at random: after every edit the map is consistent, and the changes it hands out say all of it.
 //!
-//! An [`Edit`] is one call of a map's own methods with arguments as wild as a caller may give them: landmarks and key
-//! frames that have gone or never were, keypoints that do not exist, numbers that are not finite. What a map asks of
-//! its callers, and is therefore kept here: what sees, moves or joins one another is of one submap.
+//! An [`Edit`] is one call of a map's own methods with arguments as wild as a caller may give them: landmarks
+//! and key frames that have gone or never were, keypoints that do not exist, numbers that are not finite.
+//! What a map asks of its callers, and is therefore kept here: what sees, moves or joins one another is of
+//! one submap.
 
 mod keyframes;
 mod lines;
@@ -97,8 +98,8 @@ fn any_edits_leave_a_consistent_map_and_hand_out_all_changes() {
     }
 }
 
-/// What [`Map::check`] does not look at, because a stored map cannot have it: trees without a circle within one
-/// submap, and covisibility with the same weight on both sides.
+/// What [`Map::check`] does not look at, because a stored map cannot have it: trees without a circle within
+/// one submap, and covisibility with the same weight on both sides.
 fn what_is_wrong_beyond_check(map: &Map) -> Option<String> {
     for keyframe in map.keyframes() {
         let mut above = keyframe;

@@ -1,4 +1,4 @@
-//! Joining lines that are the same and adding sightings that were missed. [ALGORITHMS 5.6]
+//! Fusion of duplicate lines, and observations that were missed. [method: Line fusion]
 
 use super::verification::{Verdict, judge};
 use crate::config::{LineConfig, SlamConfig};
@@ -26,8 +26,8 @@ fn lines_of(map: &Map, id: KeyframeId) -> Vec<LineId> {
     map.keyframe(id).into_iter().flat_map(Keyframe::observed_lines).map(|(_, id)| id).collect()
 }
 
-/// Looks for lines in a key frame: one already explained there is joined with what explains it if the two agree in
-/// space; a segment that sees nothing yet sees it from now on.
+/// Looks for lines in a key frame: one already explained there is joined with what explains it if the two
+/// agree in space; a segment that sees nothing yet sees it from now on.
 fn fuse_into(map: &mut Map, lines: &BTreeSet<LineId>, target: KeyframeId, config: &LineConfig) {
     let Some(keyframe) = map.keyframe(target) else { return };
     let features = keyframe.features.clone();

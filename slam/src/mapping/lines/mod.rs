@@ -1,5 +1,5 @@
 //! Lines of the map: made of tracked segments, verified, joined and culled, key frame by key frame.
-//! [ALGORITHMS 5; paper, "Global Structure Association"]
+//! [method: Line landmarks]
 
 mod fusion;
 mod triangulation;
@@ -32,7 +32,8 @@ pub(super) struct LineMapper {
 }
 
 impl LineMapper {
-    /// Takes in the segments of a key frame that is in the map: culls young lines, makes new ones, joins the same.
+    /// Takes in the segments of a key frame that is in the map: culls young lines, makes new ones, joins the
+    /// same.
     pub fn extend(&mut self, map: &mut Map, id: KeyframeId, config: &SlamConfig) {
         self.cull_recent(map, id, config);
         self.follow_tracks(map, id);

@@ -1,4 +1,5 @@
-//! A line of space from the segments of one track. [ALGORITHMS 5.4, 5.5]
+//! Line triangulation: a 3D line from the segments of one track.
+//! [method: Line triangulation; Degenerate lines]
 
 use super::verification::verify;
 use crate::bundle::anchored_line::AnchoredLine;
@@ -48,8 +49,8 @@ pub(super) struct Candidate {
     pub outcome: Result<Vec<Observation>, LineVerdict>,
 }
 
-/// The line that a track's views agree on and whether it may enter the map. `None` if the track has no place in space
-/// yet: too few views, or no two whose planes are far enough apart.
+/// The line that a track's views agree on and whether it may enter the map. `None` if the track has no place
+/// in space yet: too few views, or no two whose planes are far enough apart.
 pub(super) fn triangulate(
     views: &[TrackView],
     median_depth: Option<f64>,
@@ -98,8 +99,9 @@ fn best_pair(views: &[TrackView], min_angle_deg: f64) -> Option<(&TrackView, &Tr
     best.1
 }
 
-/// The line that agrees best with every view, poses held, and the standard deviation of its depth at the seen ends as
-/// a share of the depth. Large where the planes of all views nearly coincide: then nothing is known along the rays.
+/// The line that agrees best with every view, poses held, and the standard deviation of its depth at the seen
+/// ends as a share of the depth. Large where the planes of all views nearly coincide: then nothing is known
+/// along the rays.
 fn refine(rough: &LinePlace, views: &[TrackView]) -> Option<(Line3, f64)> {
     let anchored = AnchoredLine::new(rough)?;
     let factors = views.iter().map(|view| HeldPose::new(view, &anchored)).collect();

@@ -1,4 +1,5 @@
-//! The paper's three tests of a line before it enters the map. [paper, "Global Structure Association"]
+//! Line verification: the three tests of Jiang et al. before a line enters the map.
+//! [method: Line verification]
 
 use crate::config::LineConfig;
 use crate::landmarks::TrackView;
@@ -16,7 +17,8 @@ pub(crate) enum Verdict {
     Overlap,
 }
 
-/// Views that must each show enough of a new line. A further one that shows another part of it still confirms its place.
+/// Views that must each show enough of a new line. A further one that shows another part of it still confirms
+/// its place.
 const MIN_COVERING_VIEWS: usize = 2;
 
 /// The views that agree with a line, or the test after which too few did.
@@ -58,8 +60,8 @@ pub(crate) fn judge(endpoints: &[Vector3<f64>; 2], view: &TrackView, config: &Li
     Comparison::of(endpoints, view).map_or(Verdict::Reprojection, |comparison| comparison.verdict(config))
 }
 
-/// A segment beside the projection of a line that it should see, where the image can show both: most edges go on
-/// outside of it. Lengths in pixels.
+/// A segment beside the projection of a line that it should see, where the image can show both: most edges go
+/// on outside of it. Lengths in pixels.
 struct Comparison {
     projected_length: f64,
     length: f64,
@@ -129,8 +131,8 @@ mod tests {
     use geometry::{Pinhole, Pose};
     use vision::{Descriptor, GridBounds};
 
-    /// A camera at `x` that looks along z, and the part of a line from `share[0]` to `share[1]` that it saw, `off_px`
-    /// beside where it is.
+    /// A camera at `x` that looks along z, and the part of a line from `share[0]` to `share[1]` that it saw,
+    /// `off_px` beside where it is.
     fn view(endpoints: &[Vector3<f64>; 2], x: f64, share: [f64; 2], off_px: f64) -> TrackView {
         let camera_from_world = Pose::new(UnitQuaternion::identity(), Vector3::new(-x, 0.0, 0.0));
         let pinhole = Pinhole { fx: 460.0, fy: 460.0, cx: 320.0, cy: 240.0 };

@@ -1,4 +1,5 @@
-//! Which primitive a vanishing point shows. [ALGORITHMS 6.3]
+//! Data association: which global primitive a vanishing point belongs to.
+//! [method: Association of vanishing points]
 
 use crate::config::PrimitiveConfig;
 use crate::landmarks::{estimate_direction, in_world, sigma_rad};
@@ -6,7 +7,8 @@ use crate::map::{GlobalPrimitive, Keyframe, KeyframeId, Map, PrimitiveId, Primit
 use geometry::Direction;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Gives the key frame's vanishing points the primitives they show: by the lines they share, then by angle, one to one.
+/// Gives the key frame's vanishing points the primitives they show: by the lines they share, then by angle,
+/// one to one.
 pub(super) fn associate(map: &mut Map, id: KeyframeId, config: &PrimitiveConfig) {
     let Some(keyframe) = map.keyframe(id) else { return };
     let mut pairs: Vec<(f64, u32, PrimitiveId)> = Vec::new();
@@ -84,8 +86,8 @@ pub(super) fn create(map: &mut Map, id: KeyframeId, config: &PrimitiveConfig) {
     }
 }
 
-/// The unexplained vanishing points of other key frames that agree with this one, and itself; `None` if they are too
-/// few, have too few segments, or a primitive is near by already.
+/// The unexplained vanishing points of other key frames that agree with this one, and itself; `None` if they
+/// are too few, have too few segments, or a primitive is near by already.
 fn sharing_keyframes(
     map: &Map,
     id: KeyframeId,
@@ -129,8 +131,8 @@ fn sharing_keyframes(
         .then_some((keyframe.submap, sharing))
 }
 
-/// Whether more of the lines behind a vanishing point's segments run another way in space than run towards it: edges that
-/// only seem to meet, from where the camera stands.
+/// Whether more of the lines behind a vanishing point's segments run another way in space than run towards
+/// it: edges that only seem to meet, from where the camera stands.
 fn is_contradicted(
     map: &Map,
     keyframe: &Keyframe,

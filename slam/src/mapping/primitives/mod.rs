@@ -1,5 +1,5 @@
 //! Global primitives: vanishing directions of key frames, fused over all that share them.
-//! [paper, "Global Primitives"; ALGORITHMS 6]
+//! [method: Global primitives]
 
 mod association;
 mod upkeep;
@@ -20,8 +20,8 @@ impl PrimitiveMapper {
         Ok(Self { finder: VanishingFinder::new(&config.primitives, config.seed)? })
     }
 
-    /// Takes in the segments of a key frame that is in the map: finds its vanishing points, says which primitives they
-    /// are, makes new ones of those that enough key frames share, joins and retires.
+    /// Takes in the segments of a key frame that is in the map: finds its vanishing points, says which
+    /// primitives they are, makes new ones of those that enough key frames share, joins and retires.
     pub fn extend(&mut self, map: &mut Map, id: KeyframeId, config: &SlamConfig) {
         self.find(map, id);
         association::associate(map, id, &config.primitives);

@@ -1,4 +1,4 @@
-//! Keeping primitives in order: directions after poses moved, joining, retirement, and which lines belong to them.
+//! Maintenance of primitives: directions after poses moved, merging, removal, and which lines belong to them.
 
 use crate::config::PrimitiveConfig;
 use crate::landmarks::estimate_direction;
@@ -46,8 +46,8 @@ pub(super) fn retire(map: &mut Map, newest: KeyframeId, config: &PrimitiveConfig
     forgotten.into_iter().for_each(|id| map.remove_primitive(id));
 }
 
-/// Says which lines of the key frame have the direction of a primitive: those that most of their segments vote for and
-/// that agree in space.
+/// Says which lines of the key frame have the direction of a primitive: those that most of their segments
+/// vote for and that agree in space.
 pub(super) fn vote_for_lines(map: &mut Map, id: KeyframeId, config: &PrimitiveConfig) {
     let lines: Vec<LineId> =
         map.keyframe(id).into_iter().flat_map(Keyframe::observed_lines).map(|(_, line)| line).collect();

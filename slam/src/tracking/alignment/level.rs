@@ -15,7 +15,8 @@ const N_UNKNOWNS: usize = 8;
 const MIN_STEP: f64 = 1e-5;
 /// Share of the patches that must be visible for a motion to be compared with others.
 const MIN_VISIBLE_SHARE: f64 = 0.4;
-/// Standard deviation of the contrast between two images about 1: keeps it where it belongs when patches are nearly plain.
+/// Standard deviation of the contrast between two images about 1: keeps it where it belongs when patches are
+/// nearly plain.
 const CONTRAST_SIGMA: f64 = 0.2;
 /// Contrasts between two images of one camera, a moment apart, that are believed.
 const CONTRASTS: std::ops::Range<f64> = 0.4..2.5;
@@ -53,7 +54,8 @@ struct Prepared {
 pub(super) struct LevelPatches(Vec<Prepared>);
 
 impl LevelPatches {
-    /// Of the patches that are not too near to the edge at most so many, spread evenly over the order they come in.
+    /// Of the patches that are not too near to the edge at most so many, spread evenly over the order they
+    /// come in.
     pub fn prepare(
         (image, camera): (&GrayImage, &Camera),
         positions: &[Vector3<f64>],
@@ -88,8 +90,8 @@ impl LevelPatches {
         n_visible > 0 && n_visible as f64 >= MIN_VISIBLE_SHARE * self.len() as f64
     }
 
-    /// How alike the patches are under a motion, -1 to 1 whatever the contrast and the brightness, and the motion with those
-    /// that fit best. `None` if too few are visible.
+    /// How alike the patches are under a motion, -1 to 1 whatever the contrast and the brightness, and the
+    /// motion with those that fit best. `None` if too few are visible.
     pub fn correlate(&self, onto: (&GrayImage, &Camera), motion: &Motion) -> Option<(f64, Motion)> {
         let (mut sums, mut squares, mut product, mut n_visible) = ([0.0; 2], [0.0; 2], 0.0, 0);
         let unchanged = Motion::new(motion.second_from_first);

@@ -1,7 +1,9 @@
-//! The motion between two images by their grey levels alone: patches about known points and along known lines of the
-//! first are found again in the second, all at once, as one rigid scene. [ALGORITHMS 9.6]
+//! Direct (photometric) alignment of two images by their grey levels alone: patches about known points and
+//! along known lines of the first are found again in the second, all at once, as one rigid scene.
+//! [method: Direct alignment]
 //!
-//! It says where to look for features when the camera moved otherwise than expected, and needs none that were found.
+//! It says where to look for features when the camera moved otherwise than expected, and needs none that were
+//! found.
 
 mod level;
 mod pyramid;
@@ -39,8 +41,8 @@ impl Aligner {
         }
     }
 
-    /// `second_from_first`, by what the first image shows at these positions in its camera's frame. `None` if too little of
-    /// it is found again.
+    /// `second_from_first`, by what the first image shows at these positions in its camera's frame. `None` if
+    /// too little of it is found again.
     pub fn align(
         &self,
         first: &Arc<GrayImage>,

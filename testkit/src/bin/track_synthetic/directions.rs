@@ -66,8 +66,8 @@ pub fn print_primitives(map: &Map, recording: &Recording) {
     );
 }
 
-/// How far the segments of primitives point past their true vanishing points, in their standard deviations, which is
-/// 1 in the median absolute deviation if those are right.
+/// How far the segments of primitives point past their true vanishing points, in their standard deviations,
+/// which is 1 in the median absolute deviation if those are right.
 pub fn print_segments(map: &Map, recording: &Recording) {
     let truths = recording.world().vanishing_directions();
     let mut by_truth: BTreeMap<usize, Vec<f64>> = BTreeMap::new();

@@ -1,7 +1,8 @@
 //! Whether sightings move through the images as they truly should.
 //!
-//! What hands the scale of a map on are landmarks that move through the image as the camera does. Sightings that run ahead
-//! of that motion, or lag behind it, by a thousandth make every step too long or too short by as much.
+//! What hands the scale of a map on are landmarks that move through the image as the camera does. Sightings
+//! that run ahead of that motion, or lag behind it, by a thousandth make every step too long or too short by
+//! as much.
 
 use crate::recording::Recording;
 use geometry::Pose;
@@ -24,13 +25,13 @@ const MAX_PAST_END: f64 = 0.3;
 const MIN_MOTION_PX: f64 = 1.0;
 /// Keypoints farther from their place than this are of something else, standard deviations.
 const MAX_ERROR_SIGMAS: f64 = 5.0;
-/// What surrounds a keypoint is looked at as far as this, pixels of its level, and flat if inverse depths depart from those
-/// of a plane by less than this share.
+/// What surrounds a keypoint is looked at as far as this, pixels of its level, and flat if inverse depths
+/// depart from those of a plane by less than this share.
 const REACH_PX: f64 = 5.0;
 const MAX_RELIEF: f64 = 0.002;
 
-/// Of one sighting: how far it should have moved since the landmark was seen first, by the camera's way, and how far ahead
-/// of that it lies; pixels. A camera that only turns moves nothing here.
+/// Of one sighting: how far it should have moved since the landmark was seen first, by the camera's way, and
+/// how far ahead of that it lies; pixels. A camera that only turns moves nothing here.
 struct Motion {
     true_px: f64,
     ahead_px: f64,
@@ -91,8 +92,8 @@ fn seen_and_turned(
     [pose.transform(place), turned].map(|in_camera| keyframe.features.pinhole.project(&in_camera))
 }
 
-/// Of the points that lie on a surface, or of those that do not: beside an edge of depth a keypoint is where two things
-/// cross in the image as often as it is a place, and the ray may meet either.
+/// Of the points that lie on a surface, or of those that do not: beside an edge of depth a keypoint is where
+/// two things cross in the image as often as it is a place, and the ray may meet either.
 fn motions_of_point(map: &Map, recording: &Recording, point: &PointLandmark, is_flat: bool) -> Vec<Motion> {
     let mut seen = sightings(map, &point.observations);
     let Some((first, idx)) = seen.next() else { return Vec::new() };

@@ -27,7 +27,8 @@
 //!
 //! Several seeds make a table as well.
 //!
-//! Presets: room-rich, room-poor, corridor-straight, corridor-ring, corridor-corners, four-rooms, atlanta, unstructured, look-alike.
+//! Presets: room-rich, room-poor, corridor-straight, corridor-ring, corridor-corners, four-rooms, atlanta,
+//! unstructured, look-alike.
 
 mod directions;
 mod flow;

@@ -54,7 +54,8 @@ impl Recording {
         self.sequence.camera_from_world(self.rendered(index))
     }
 
-    /// The visible edges of frame `index` as played with more contrast than that, ends in pixels without lens distortion.
+    /// The visible edges of frame `index` as played with more contrast than that, ends in pixels without lens
+    /// distortion.
     pub fn edges(&self, index: usize, min_contrast: f64) -> Vec<[Vector2<f64>; 2]> {
         let seen = self.sequence.visible_segments(self.rendered(index)).into_iter();
         let undistort = |pixel: &Vector2<f64>| self.camera().undistort(pixel);

@@ -11,8 +11,8 @@ use vision::GrayImage;
 /// Every this many frames one is looked for.
 const INTERVAL: usize = 10;
 
-/// Looks for frames whose contrast is this many times that of the recording, and prints how many are found and how far
-/// they are from the truth.
+/// Looks for frames whose contrast is this many times that of the recording, and prints how many are found
+/// and how far they are from the truth.
 pub fn print_relocalised(
     map: &Map,
     recording: &Recording,

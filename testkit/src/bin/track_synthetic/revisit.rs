@@ -8,7 +8,8 @@ const MIN_FRAMES_BETWEEN: usize = 600;
 /// Truly as near as this, and turned no more than this, two cameras see the same place.
 const MAX_DISTANCE: f64 = 1.0;
 const MAX_ANGLE_DEG: f64 = 15.0;
-/// Key frames that share points can be as far apart as this down a corridor; places that look alike are farther.
+/// Key frames that share points can be as far apart as this down a corridor; places that look alike are
+/// farther.
 const MAX_TIE_DISTANCE: f64 = 5.0;
 /// Points that two key frames must share to be tied.
 const MIN_SHARED_POINTS: u32 = 15;

@@ -61,14 +61,16 @@ pub fn print_offsets(
     Ok(())
 }
 
-/// How far a segment lies towards its brighter side of the edge it is of, and how far the next edge beside that is.
+/// How far a segment lies towards its brighter side of the edge it is of, and how far the next edge beside
+/// that is.
 fn offset(recording: &Recording, segment: &Segment, edges: &[Edge]) -> Option<(f64, f64)> {
     let undistort = |end: Vector2<f32>| recording.camera().undistort(&end.cast());
     let (start, end) = (undistort(segment.start)?, undistort(segment.end)?);
     let direction = (end - start).try_normalize(1e-9)?;
     let normal = Vector2::new(-direction.y, direction.x);
     let middle = (start + end) / 2.0;
-    // The brighter side is where the normal points; an edge's distance along it, if it runs beside the segment.
+    // The brighter side is where the normal points; an edge's distance along it, if it runs beside the
+    // segment.
     let beside = |edge: &Edge| {
         let along = (edge.end - edge.start).try_normalize(1e-9)?;
         let sine = direction.x * along.y - direction.y * along.x;

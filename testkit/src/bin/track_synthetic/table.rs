@@ -19,7 +19,8 @@ pub struct Row {
 }
 
 impl Row {
-    /// Errors and coverage are the medians of several runs; what happened in them is that of the run of median error.
+    /// Errors and coverage are the medians of several runs; what happened in them is that of the run of
+    /// median error.
     pub fn median_of(mut runs: Vec<Self>) -> Self {
         let value = |of: fn(&Self) -> Option<f64>| median_known(runs.iter().map(of));
         let (ate_share, drift_deg) = (value(|run| run.ate_share), value(|run| run.drift_deg));

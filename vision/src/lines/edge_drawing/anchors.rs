@@ -2,7 +2,8 @@
 
 use crate::lines::gradient::{Gradients, UNITS_PER_LEVEL};
 
-/// An anchor's gradient exceeds those of its two neighbours across the edge by this in all, grey levels per pixel.
+/// An anchor's gradient exceeds those of its two neighbours across the edge by this in all, grey levels per
+/// pixel.
 const MIN_PROMINENCE: i16 = UNITS_PER_LEVEL as i16;
 /// Every so-many-th pixel along an edge may be an anchor; one is enough to find the edge.
 const STEP: usize = 2;
@@ -20,8 +21,8 @@ pub(super) struct Anchors {
 }
 
 impl Anchors {
-    /// The anchors of an image as pixel indices, those with the largest gradient first (up to the width of a bin), in
-    /// reading order otherwise.
+    /// The anchors of an image as pixel indices, those with the largest gradient first (up to the width of a
+    /// bin), in reading order otherwise.
     pub fn find(&mut self, gradients: &Gradients, min_magnitude: i16) -> &[u32] {
         let (width, height) = (gradients.width, gradients.height);
         self.found.clear();
@@ -48,8 +49,8 @@ impl Anchors {
         self.sort(gradients)
     }
 
-    /// Flags pixels 1 to `width - 2` of row `y`: 1 for an anchor, 0 for none. Edges that run along x are cut by every
-    /// so-many-th column, the others by rows.
+    /// Flags pixels 1 to `width - 2` of row `y`: 1 for an anchor, 0 for none. Edges that run along x are cut
+    /// by every so-many-th column, the others by rows.
     fn flag_row(&mut self, gradients: &Gradients, y: usize, min_magnitude: i16) {
         let n = gradients.width - 2;
         let at = y * gradients.width + 1;

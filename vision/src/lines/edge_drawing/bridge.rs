@@ -31,7 +31,8 @@ pub(super) struct Bridger {
     alive: Vec<bool>,
 }
 
-/// Side of the grid's cells, pixels: as wide as the farthest start looked for, so that it is in a neighbouring cell.
+/// Side of the grid's cells, pixels: as wide as the farthest start looked for, so that it is in a
+/// neighbouring cell.
 const CELL_PX: f32 = 12.0;
 const NONE: u32 = u32::MAX;
 
@@ -101,7 +102,8 @@ impl Bridger {
     }
 }
 
-/// Both pieces as one, and the gap between them, pixels; `None` if `after` does not go on where `before` ends.
+/// Both pieces as one, and the gap between them, pixels; `None` if `after` does not go on where `before`
+/// ends.
 fn join_pair(before: &Piece, after: &Piece) -> Option<(f32, Piece)> {
     let (vector, other) = (before.ends.end - before.ends.start, after.ends.end - after.ends.start);
     let (length, other_length) = (vector.norm(), other.norm());

@@ -1,10 +1,11 @@
-//! Segments by edge drawing: from the sharpest edge pixels, edges are followed pixel by pixel, and cut into straight
-//! pieces; pieces of one line with a gap between them are joined.
+//! Segments by edge drawing: from the sharpest edge pixels, edges are followed pixel by pixel, and cut into
+//! straight pieces; pieces of one line with a gap between them are joined.
 //!
-//! The idea is that of EDLines [Akinlar & Topal, "EDLines: a real-time line segment detector with a false detection
-//! control", 2011], joining across gaps that of ELSED [Suárez et al., "ELSED: Enhanced Line SEgment Drawing", 2022].
-//! Here an edge is followed along its own direction, brighter side to the right, so that every pixel has one successor
-//! and the opposite edge of a thin bar is never taken for the continuation; pieces are fitted to sub-pixel positions.
+//! The idea is that of EDLines [Akinlar & Topal, "EDLines: a real-time line segment detector with a false
+//! detection control", 2011], joining across gaps that of ELSED [Suárez et al., "ELSED: Enhanced Line SEgment
+//! Drawing", 2022]. Here an edge is followed along its own direction, brighter side to the right, so that
+//! every pixel has one successor and the opposite edge of a thin bar is never taken for the continuation;
+//! pieces are fitted to sub-pixel positions.
 
 mod anchors;
 mod bridge;
@@ -18,8 +19,9 @@ use crate::lines::gradient::{Gradients, UNITS_PER_LEVEL};
 use crate::lines::raw_detector::RawDetector;
 use crate::lines::select::Ends;
 
-/// Pieces shorter than this after joining are not reported, pixels. An accidental alignment of so many pixels of a chain
-/// within a pixel of a line is expected less than once in an image [Akinlar & Topal 2011, section 2.3: 12 px for 752x480].
+/// Pieces shorter than this after joining are not reported, pixels. An accidental alignment of so many pixels
+/// of a chain within a pixel of a line is expected less than once in an image [Akinlar & Topal 2011, section
+/// 2.3: 12 px for 752x480].
 const MIN_LENGTH_PX: f32 = 14.0;
 
 /// Finds segments by edge drawing; keeps its buffers.

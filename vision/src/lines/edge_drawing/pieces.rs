@@ -28,7 +28,8 @@ const MAX_STRAYS: usize = 4;
 const MAX_VARIANCE: f64 = 0.5 * 0.5;
 /// The line is fitted again whenever the piece has grown by this factor.
 const REFIT_GROWTH: f64 = 1.25;
-/// The gradient is in line with the piece if its angle to the normal is at most this: the tangent of 0.2 radians.
+/// The gradient is in line with the piece if its angle to the normal is at most this: the tangent of 0.2
+/// radians.
 const ALIGNED_TANGENT: f64 = 0.2027;
 /// A piece must have this share of pixels whose gradient is in line.
 const MIN_ALIGNED_SHARE: f64 = 0.5;

@@ -28,7 +28,8 @@ impl Walker {
         self.state.resize(gradients.magnitude.len(), FREE);
     }
 
-    /// The pixels of the edge through `anchor`, in the edge's direction; none if the edge has been followed before.
+    /// The pixels of the edge through `anchor`, in the edge's direction; none if the edge has been followed
+    /// before.
     pub fn follow(&mut self, gradients: &Gradients, anchor: usize) -> &[u32] {
         self.chain.clear();
         if self.state[anchor] != FREE {

@@ -33,7 +33,8 @@ pub(super) fn densify(field: &mut Field, region: &mut Region, rectangle: Rectang
     shrink(field, region, rectangle)
 }
 
-/// Twice the standard deviation of the directions of the region's pixels closer to the seed than `radius`, radians.
+/// Twice the standard deviation of the directions of the region's pixels closer to the seed than `radius`,
+/// radians.
 fn tolerance_near_seed(field: &Field, region: &Region, radius: f64) -> f32 {
     let seed = region.pixels[0];
     let towards = field.direction[field.at(seed)];

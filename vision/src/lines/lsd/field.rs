@@ -19,8 +19,9 @@ pub(super) struct Pixel {
 pub(super) struct Field {
     pub width: usize,
     pub height: usize,
-    /// Elements from one row to the next. A row of pixels without direction goes before the first, and the last column
-    /// and row have none either, so that every pixel with a direction has eight neighbours in memory.
+    /// Elements from one row to the next. A row of pixels without direction goes before the first, and the
+    /// last column and row have none either, so that every pixel with a direction has eight neighbours in
+    /// memory.
     pub stride: usize,
     /// Zero where the gradient is too weak.
     pub direction: Vec<Vector2<f32>>,
@@ -66,7 +67,8 @@ impl Field {
         self.sort_seeds(f32::from_bits(largest));
     }
 
-    /// Makes room for an image of another size, with no direction anywhere: at the outer elements that is how it stays.
+    /// Makes room for an image of another size, with no direction anywhere: at the outer elements that is how
+    /// it stays.
     fn resize(&mut self, width: usize, height: usize) {
         (self.width, self.height, self.stride) = (width, height, width);
         let n = self.at(Pixel { x: 0, y: height as u32 }) + 1;
@@ -78,8 +80,8 @@ impl Field {
         self.taken.resize(n, 1);
     }
 
-    /// Sorts the pixels that have a direction by falling magnitude, of which `largest` is the largest, to within a bin, by
-    /// counting.
+    /// Sorts the pixels that have a direction by falling magnitude, of which `largest` is the largest, to
+    /// within a bin, by counting.
     fn sort_seeds(&mut self, largest: f32) {
         // Every pixel is written, and the next one over it if it has no direction: no branch to guess wrong.
         self.unsorted.resize(self.taken.len(), 0);

@@ -26,7 +26,8 @@ pub(super) struct Judge {
     min_pixels: usize,
     /// `ln n!`, as far as it has been needed.
     ln_factorial: Vec<f64>,
-    /// Of each pixel in the rectangle: its place across, and the cosine of its direction with the rectangle's.
+    /// Of each pixel in the rectangle: its place across, and the cosine of its direction with the
+    /// rectangle's.
     across: Vec<f32>,
     cosine: Vec<f32>,
 }
@@ -131,8 +132,8 @@ impl Judge {
         (n as usize, k as usize)
     }
 
-    /// `-log10` of the expected number of rectangles in noise with at least `k` of `n` pixels that agree by chance `p`;
-    /// or anything up to `enough` if it does not exceed that.
+    /// `-log10` of the expected number of rectangles in noise with at least `k` of `n` pixels that agree by
+    /// chance `p`; or anything up to `enough` if it does not exceed that.
     fn rarity(&mut self, n: usize, k: usize, p: f64, enough: f64) -> f64 {
         if n == 0 || k == 0 {
             return -self.log_n_tests;

@@ -1,9 +1,10 @@
 //! Segments by growing regions of like gradient direction and keeping those that do not happen by chance
 //! [Grompone von Gioi et al., "LSD: a Line Segment Detector", 2012].
 //!
-//! The image is shrunk and smoothed; from pixels of the largest gradient on, neighbours whose level line runs the same
-//! way are gathered; a rectangle around them is a segment if so many aligned pixels are not expected anywhere in noise.
-//! No angle is ever computed on the way: directions are unit vectors, compared by their scalar product.
+//! The image is shrunk and smoothed; from pixels of the largest gradient on, neighbours whose level line runs
+//! the same way are gathered; a rectangle around them is a segment if so many aligned pixels are not expected
+//! anywhere in noise. No angle is ever computed on the way: directions are unit vectors, compared by their
+//! scalar product.
 
 mod density;
 mod field;

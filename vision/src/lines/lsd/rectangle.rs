@@ -81,7 +81,8 @@ impl Rectangle {
         self.along.map(|along| middle + self.direction * along)
     }
 
-    /// Calls `visit` with row, first and last column of the pixels inside, for each row of an image of the given size.
+    /// Calls `visit` with row, first and last column of the pixels inside, for each row of an image of the
+    /// given size.
     pub fn visit_rows(&self, width: usize, height: usize, mut visit: impl FnMut(usize, usize, usize)) {
         let (d, n) = (self.direction, self.normal());
         let corners = [(0, 0), (0, 1), (1, 0), (1, 1)]

@@ -14,8 +14,8 @@ pub(super) struct Region {
 }
 
 impl Region {
-    /// Gathers the free pixels connected to `seed` whose direction is within `tolerance`, radians, of the region's, and
-    /// takes them.
+    /// Gathers the free pixels connected to `seed` whose direction is within `tolerance`, radians, of the
+    /// region's, and takes them.
     pub fn grow(&mut self, field: &mut Field, seed: Pixel, tolerance: f32) {
         let stride = field.stride;
         let at = field.at(seed);

@@ -37,8 +37,8 @@ fn read_segments(path: &Path) -> Vec<Ends> {
     text.lines().map(parse).collect()
 }
 
-/// Whether `other` is the same segment: its midpoint within 2 px across, 2 degrees of direction, and half of the shorter
-/// one's length in common.
+/// Whether `other` is the same segment: its midpoint within 2 px across, 2 degrees of direction, and half of
+/// the shorter one's length in common.
 fn same(segment: &Ends, other: &Ends) -> bool {
     let (length, other_length) = (segment.length(), other.length());
     let (d, e) = ((segment.end - segment.start) / length, (other.end - other.start) / other_length);

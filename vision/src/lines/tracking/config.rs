@@ -1,11 +1,11 @@
-//! How lines are tracked.
+//! Configuration of line tracking.
 
 use crate::lines::{EdgeSupportConfig, LineFlowConfig, LineMatchConfig, LineMergeConfig};
 
 /// How lines are tracked.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineTrackerConfig {
-    /// Shorter segments are dropped, detected or tracked, pixels (`tau_s` of the paper). Default 20.
+    /// Shorter segments are dropped, detected or tracked, pixels (`tau_s` of Jiang et al.). Default 20.
     pub min_length_px: f32,
     /// A new line must be at least this long, pixels. Default 30: short ones come and go.
     pub min_new_length_px: f32,
@@ -17,8 +17,8 @@ pub struct LineTrackerConfig {
     pub max_flow_only_frames: u32,
     /// By how much flow alone is less exact across a line than a detection. Default 1.5.
     pub flow_sigma_factor: f32,
-    /// Largest Hamming distance of a line kept by flow alone from what it looked like, bits of 256. Default 60:
-    /// unrelated edges lie at 83 on average, the same edge below 20.
+    /// Largest Hamming distance of a line kept by flow alone from what it looked like, bits of 256. Default
+    /// 60: unrelated edges lie at 83 on average, the same edge below 20.
     pub max_flow_distance: u32,
     /// A detection shorter than the predicted line by more than this share is merged with it. Default 0.1.
     pub merge_if_longer_by: f32,

@@ -29,7 +29,8 @@ impl Remaining {
 }
 
 impl Detections {
-    /// Those of `detected` that are finite and long enough within the image; the longest, if there are too many.
+    /// Those of `detected` that are finite and long enough within the image; the longest, if there are too
+    /// many.
     pub fn accept(
         mut detected: Vec<Segment>,
         frame: Frame,

@@ -1,6 +1,6 @@
 //! Line tracking, from image to image: flow predicts the lines of the last image, detections confirm or
 //! replace the predictions, and pieces of one edge become one line [after the optical flow-based line fusion
-//! of the MonoSLAM paper and Lim et al., "Avoiding degeneracy for monocular visual SLAM with point and line
+//! of Jiang et al. and Lim et al., "Avoiding degeneracy for monocular visual SLAM with point and line
 //! features", ICRA 2021].
 
 mod config;
@@ -59,12 +59,13 @@ pub struct TrackedLines {
     pub statistics: LineTrackingStatistics,
 }
 
-/// A line reaches beyond the image by at most this share of its larger side: nobody can say anything about more.
+/// A line reaches beyond the image by at most this share of its larger side: nobody can say anything about
+/// more.
 const MAX_BEYOND_SHARE: f32 = 0.5;
 /// An end this near to the image's edge, pixels, was cut off there, if the line is known to go on.
 const CUT_OFF_PX: f32 = 5.0;
-/// Hamming distance at which descriptors of unrelated segments lie on average in drawn scenes, bits: the score there is
-/// nil.
+/// Hamming distance at which descriptors of unrelated segments lie on average in drawn scenes, bits: the
+/// score there is nil.
 const UNRELATED_DISTANCE: f32 = 83.0;
 
 /// Follows lines from image to image. Buffers are kept.
@@ -148,8 +149,8 @@ impl LineTracker {
         self.last = FlowPyramid::default();
     }
 
-    /// Finds the lines of `image`, given the segments detected in it and, if something is known of the camera's motion,
-    /// where pixels of the last image are expected.
+    /// Finds the lines of `image`, given the segments detected in it and, if something is known of the
+    /// camera's motion, where pixels of the last image are expected.
     pub fn track(
         &mut self,
         image: &GrayImage,
@@ -200,7 +201,8 @@ impl LineTracker {
         Ok(Prediction { segment, extent: self.extended(&segment, &flowed.segment) })
     }
 
-    /// `segment` with those of its ends moved beyond the image that were cut off by its edge, as `known` says.
+    /// `segment` with those of its ends moved beyond the image that were cut off by its edge, as `known`
+    /// says.
     fn extended(&self, segment: &Segment, known: &Segment) -> Segment {
         let frame = self.frame();
         let beyond_px = MAX_BEYOND_SHARE * self.next.image().width().max(self.next.image().height()) as f32;
@@ -272,7 +274,8 @@ impl LineTracker {
         (Candidate { descriptor: Some(descriptor), ..flowed }, distance)
     }
 
-    /// Of a predicted line and its detection: both merged if the detection is but a piece, else the better one.
+    /// Of a predicted line and its detection: both merged if the detection is but a piece, else the better
+    /// one.
     fn choose(
         &mut self,
         flowed: Candidate,

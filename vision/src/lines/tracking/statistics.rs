@@ -2,8 +2,8 @@
 
 use crate::lines::FlowFailure;
 
-/// Counts of one frame. The lines that come out are `n_by_flow + n_by_descriptor + n_by_merging + n_flow_only + n_new`;
-/// those of the last frame are the same without `n_new`, and those lost.
+/// Counts of one frame. The lines that come out are `n_by_flow + n_by_descriptor + n_by_merging +
+/// n_flow_only + n_new`; those of the last frame are the same without `n_new`, and those lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LineTrackingStatistics {
     /// Segments given.

@@ -28,7 +28,8 @@ fn check(tracked: &TrackedLines, n_last: usize, image: &GrayImage, config: &Line
     }
 }
 
-/// A detector of known quality: ends move by up to a pixel along, lines by 0.2 px across, and a share is missed.
+/// A detector of known quality: ends move by up to a pixel along, lines by 0.2 px across, and a share is
+/// missed.
 fn detect(scene: &Scene, view: &Matrix3<f32>, missed: f32, random: &mut Random) -> Vec<(usize, Segment)> {
     let mut detected = scene.segments(SIZE, view);
     detected.retain_mut(|(_, segment)| {
