@@ -1,4 +1,4 @@
-//! Intrinsics of a map, as refined by self-calibration.
+//! The camera of a map, as far as the session knows it better than its calibration.
 
 use super::{Keyframe, KeyframeId, Map};
 use geometry::PinholeCorrection;
@@ -7,8 +7,11 @@ use std::sync::Arc;
 impl Map {
     /// Takes over how the camera differs from its calibration. Pixels stay as they are; the rays of all key
     /// frames change, and with them the directions of their vanishing points. Poses and landmarks are left as
-    /// they are.
+    /// they are. A correction that leaves no camera is refused.
     pub(crate) fn set_correction(&mut self, correction: PinholeCorrection) {
+        if !leaves_a_camera(&correction) {
+            return;
+        }
         let before = std::mem::replace(&mut self.correction, correction);
         if before == correction {
             return;
@@ -25,6 +28,12 @@ impl Map {
             });
         }
     }
+}
+
+/// Whether a camera corrected this way still sees: all is finite, and the focal length positive.
+pub(super) fn leaves_a_camera(correction: &PinholeCorrection) -> bool {
+    let PinholeCorrection { focal, centre_x, centre_y } = correction;
+    [focal, centre_x, centre_y].iter().all(|value| value.is_finite()) && *focal > -1.0
 }
 
 /// Has a key frame's rays be those of the corrected camera.

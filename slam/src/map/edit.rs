@@ -41,10 +41,12 @@ impl Map {
         self.keyframes.insert(id.index(), keyframe);
     }
 
-    /// Takes a key frame out, with its observations. Frames and key frames that hang on it hang on `anchor`
-    /// from now on. Points left with fewer than two observations go too.
+    /// Takes a key frame out, with its observations. Frames and key frames that hang on it hang on `anchor`,
+    /// another one of its submap, from now on. Points left with fewer than two observations go too.
     pub(crate) fn remove_keyframe(&mut self, id: KeyframeId, anchor: KeyframeId) {
-        let Some(anchor_from_world) = self.keyframe(anchor).map(|keyframe| keyframe.camera_from_world) else {
+        let Some(anchor_from_world) =
+            self.keyframe(anchor).filter(|anchor| anchor.id != id).map(|anchor| anchor.camera_from_world)
+        else {
             return;
         };
         let Some(removed) = self.keyframes.remove(id.index()) else { return };
@@ -67,7 +69,8 @@ impl Map {
             .map(|keyframe| keyframe.id)
             .collect();
         for child in children {
-            let parent = if child == anchor { removed.parent } else { Some(anchor) };
+            // What the anchor itself hangs on cannot hang on the anchor.
+            let parent = if self.hangs_on(anchor, child) { removed.parent } else { Some(anchor) };
             self.edit_keyframe(child, |keyframe| keyframe.parent = parent);
         }
         for (neighbour, _) in removed.covisible.iter() {
@@ -89,14 +92,8 @@ impl Map {
         if !position.iter().all(|value| value.is_finite()) {
             return None;
         }
-        let mut free: Vec<Observation> = observations
-            .iter()
-            .copied()
-            .filter(|seen| {
-                self.keyframe(seen.keyframe)
-                    .is_some_and(|keyframe| keyframe.points[seen.feature_idx as usize].is_none())
-            })
-            .collect();
+        let mut free: Vec<Observation> =
+            observations.iter().copied().filter(|seen| self.keypoint_is_free(*seen)).collect();
         free.sort_unstable();
         free.dedup_by_key(|seen| seen.keyframe);
         if free.len() < 2 {
@@ -130,10 +127,7 @@ impl Map {
 
     /// Enters that a keypoint sees a point. Nothing happens if either is taken or gone.
     pub(crate) fn add_observation(&mut self, point_id: PointId, seen: Observation) -> bool {
-        let free = self
-            .keyframe(seen.keyframe)
-            .is_some_and(|keyframe| keyframe.points[seen.feature_idx as usize].is_none());
-        if !free || !self.enter_observation(point_id, seen) {
+        if !self.keypoint_is_free(seen) || !self.enter_observation(point_id, seen) {
             return false;
         }
         self.edit_keyframe(seen.keyframe, |keyframe| {
@@ -185,9 +179,10 @@ impl Map {
         }
     }
 
-    /// Hangs a key frame on another in the spanning tree.
+    /// Hangs a key frame on another in the spanning tree. Nothing happens if that is gone, or hangs on the
+    /// key frame.
     pub(crate) fn set_parent(&mut self, id: KeyframeId, parent: KeyframeId) {
-        if id != parent {
+        if self.keyframe(parent).is_some() && !self.hangs_on(parent, id) {
             self.edit_keyframe(id, |keyframe| keyframe.parent = Some(parent));
         }
     }
@@ -302,6 +297,12 @@ impl Map {
         if let Some(keyframe) = self.keyframes.get_mut(id.index()) {
             keyframe.covisible = covisible;
         }
+    }
+
+    fn keypoint_is_free(&self, seen: Observation) -> bool {
+        let keypoint =
+            self.keyframe(seen.keyframe).and_then(|keyframe| keyframe.points.get(seen.feature_idx as usize));
+        keypoint.is_some_and(Option::is_none)
     }
 
     fn enter_observation(&mut self, point_id: PointId, seen: Observation) -> bool {

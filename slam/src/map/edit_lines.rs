@@ -121,9 +121,10 @@ impl Map {
         }
     }
 
-    /// Says which primitive's direction a line has.
+    /// Says which primitive's direction a line has. Nothing happens if there is no such primitive.
     pub(crate) fn set_line_primitive(&mut self, id: LineId, primitive: Option<PrimitiveId>) {
-        if self.line(id).is_some_and(|line| line.primitive != primitive) {
+        let is_there = primitive.is_none_or(|primitive| self.primitive(primitive).is_some());
+        if is_there && self.line(id).is_some_and(|line| line.primitive != primitive) {
             self.edit_line(id, |line| line.primitive = primitive);
         }
     }

@@ -155,6 +155,20 @@ impl Map {
         }
     }
 
+    /// Whether a key frame is another, or hangs on it in the spanning tree, however far below.
+    pub(super) fn hangs_on(&self, id: KeyframeId, above: KeyframeId) -> bool {
+        let mut current = Some(id);
+        // Each step goes one up in the tree; the bound is for safety.
+        for _ in 0..=self.n_keyframes() {
+            match current {
+                Some(id) if id == above => return true,
+                Some(id) => current = self.keyframe(id).and_then(|keyframe| keyframe.parent),
+                None => return false,
+            }
+        }
+        false
+    }
+
     /// Every key frame of a submap, oldest first.
     pub fn keyframes_of(&self, submap: SubmapId) -> impl Iterator<Item = &Keyframe> {
         self.keyframes().filter(move |keyframe| keyframe.submap == submap)

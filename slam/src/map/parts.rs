@@ -1,7 +1,6 @@
 //! Taking a stored map up again, and checking that a map is consistent.
 
 use super::{GlobalPrimitive, Keyframe, LineLandmark, Map, MapError, MapParts, Observation};
-use geometry::PinholeCorrection;
 use std::sync::Arc;
 
 impl Map {
@@ -67,8 +66,7 @@ impl Map {
     /// # Errors
     /// The first thing that is wrong.
     pub fn check(&self) -> Result<(), MapError> {
-        let PinholeCorrection { focal, centre_x, centre_y } = self.correction;
-        if !([focal, centre_x, centre_y].iter().all(|value| value.is_finite()) && focal > -1.0) {
+        if !super::calibration::leaves_a_camera(&self.correction) {
             return Err(MapError(format!(
                 "the correction of the camera, {:?}, leaves none",
                 self.correction
