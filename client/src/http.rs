@@ -53,7 +53,7 @@ impl TrajectoryFormat {
 pub enum TrajectoryKind {
     /// Those of all frames that have one.
     Frames,
-    /// Those of key frames.
+    /// Those of keyframes.
     Keyframes,
 }
 

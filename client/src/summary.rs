@@ -74,7 +74,7 @@ pub struct StreamSummary {
     /// The share of `frames` that was given a pose as it came. Poses found later, such as those of the frames
     /// from which the map was begun, are in the trajectory and not counted here.
     pub coverage: f64,
-    /// Key frames of the session.
+    /// Keyframes of the session.
     pub keyframes: u64,
     /// Points of the session.
     pub points: u64,
@@ -109,9 +109,11 @@ pub struct CameraFinding {
     /// Relative change of both focal lengths.
     pub focal: f64,
     /// Shift of the principal point to the right, in focal lengths.
-    pub centre_x: f64,
+    #[serde(rename = "centre_x")]
+    pub center_x: f64,
     /// The same downwards.
-    pub centre_y: f64,
+    #[serde(rename = "centre_y")]
+    pub center_y: f64,
     /// The session goes on with that camera; otherwise it is more than a calibration can be wrong by.
     pub adopted: bool,
 }
@@ -142,8 +144,8 @@ impl StreamSummary {
 
     fn count(&mut self, result: &v1::FrameResult) {
         if let Some(found) = result.corrections.iter().rev().find_map(|correction| correction.camera) {
-            let v1::CameraCorrection { focal, centre_x, centre_y, adopted } = found;
-            self.camera = Some(CameraFinding { focal, centre_x, centre_y, adopted });
+            let v1::CameraCorrection { focal, centre_x: center_x, centre_y: center_y, adopted } = found;
+            self.camera = Some(CameraFinding { focal, center_x, center_y, adopted });
         }
         self.repeated += usize::from(result.repeated);
         match result.state() {

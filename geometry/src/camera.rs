@@ -64,9 +64,9 @@ pub struct CameraParameters {
     pub fx: f64,
     /// Vertical focal length.
     pub fy: f64,
-    /// Principal point, horizontal; zero is the centre of the leftmost pixel.
+    /// Principal point, horizontal; zero is the center of the leftmost pixel.
     pub cx: f64,
-    /// Principal point, vertical; zero is the centre of the topmost pixel.
+    /// Principal point, vertical; zero is the center of the topmost pixel.
     pub cy: f64,
     /// Coefficients of the model, see [`CameraModel`].
     pub distortion: Vec<f64>,
@@ -191,7 +191,7 @@ impl Camera {
     }
 
     fn project_nominal(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
-        self.distortion.project(point).map(|p| self.nominal.denormalised(&p))
+        self.distortion.project(point).map(|p| self.nominal.denormalized(&p))
     }
 
     /// As [`project`](Self::project), with the derivative of the pixel by the point.
@@ -207,7 +207,7 @@ impl Camera {
             jacobian[(0, column)] *= self.nominal.fx;
             jacobian[(1, column)] *= self.nominal.fy;
         }
-        Some((self.nominal.denormalised(&p), jacobian * nominal_from_corrected))
+        Some((self.nominal.denormalized(&p), jacobian * nominal_from_corrected))
     }
 
     /// The unit vector, in the camera frame, towards what is seen at `pixel`. `None` where the model has no
@@ -222,7 +222,7 @@ impl Camera {
     }
 
     fn unproject_nominal(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
-        self.distortion.unproject(&self.nominal.normalised(pixel))
+        self.distortion.unproject(&self.nominal.normalized(pixel))
     }
 
     /// Where the ideal pinhole sees what this camera sees at `pixel`. `None` further than
@@ -240,7 +240,7 @@ impl Camera {
     /// [`undistort`](Self::undistort).
     #[inline]
     pub fn distort(&self, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
-        let p = self.nominal.normalised(pixel);
+        let p = self.nominal.normalized(pixel);
         self.project_nominal(&Vector3::new(p.x, p.y, 1.0))
     }
 
@@ -252,8 +252,8 @@ impl Camera {
         let mut high = Vector2::repeat(f64::NEG_INFINITY);
         for pixel in self.border() {
             let undistorted = self.undistort(&pixel).unwrap_or_else(|| {
-                let outwards = self.nominal.normalised(&pixel).normalize();
-                self.nominal.denormalised(&(outwards * max_radius))
+                let outwards = self.nominal.normalized(&pixel).normalize();
+                self.nominal.denormalized(&(outwards * max_radius))
             });
             low = low.inf(&undistorted);
             high = high.sup(&undistorted);
@@ -347,12 +347,12 @@ fn check_numbers(p: &CameraParameters) -> Result<(), CameraError> {
             ));
         }
     }
-    for (field, centre, side) in [("cx", p.cx, p.width), ("cy", p.cy, p.height)] {
+    for (field, center, side) in [("cx", p.cx, p.width), ("cy", p.cy, p.height)] {
         let end = f64::from(side) - 0.5;
-        if !(centre >= -0.5 && centre <= end) {
+        if !(center >= -0.5 && center <= end) {
             return Err(error(
                 field,
-                format!("{field} must be inside the image, between -0.5 and {end}, not {centre}"),
+                format!("{field} must be inside the image, between -0.5 and {end}, not {center}"),
             ));
         }
     }

@@ -33,7 +33,7 @@ impl Direction {
         is_same.then_some(Self { vector })
     }
 
-    /// Normalises and fixes the sign: the last component that is not zero is positive.
+    /// Normalizes and fixes the sign: the last component that is not zero is positive.
     #[inline]
     fn from_nonzero(vector: Vector3<f64>) -> Self {
         let unit = vector.normalize();

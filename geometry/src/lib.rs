@@ -1,17 +1,17 @@
 //! Poses, cameras, lines, directions and the small solvers between them: everything in the system that is
-//! pure geometry, with no images, maps or optimisation in it.
+//! pure geometry, with no images, maps or optimization in it.
 //!
 //! # Conventions, stated once for the whole project
 //!
-//! - Transforms are named `target_from_source`, coordinates `thing_in_frame`. Key frames store
-//!   `camera_from_world`: `X_camera = R X_world + t`, so that the camera centre is `-Rᵀ t`.
+//! - Transforms are named `target_from_source`, coordinates `thing_in_frame`. Keyframes store
+//!   `camera_from_world`: `X_camera = R X_world + t`, so that the camera center is `-Rᵀ t`.
 //! - Perturbations act on the left, `exp(δ) * T`, with `δ = [rotation(3), translation(3)]`, and one more
 //!   entry for the logarithm of the scale where there is one.
 //! - Quaternions are Hamilton's, stored `x, y, z, w`.
-//! - Camera axes: `x` right, `y` down, `z` forward. Pixel centres are at integers: the origin is the centre
+//! - Camera axes: `x` right, `y` down, `z` forward. Pixel centers are at integers: the origin is the center
 //!   of the top-left pixel, and the image covers `[-0.5, width - 0.5] × [-0.5, height - 0.5]`.
 //! - Angles are radians unless the name ends in `_deg`. Lengths are map units: monocular scale is free.
-//! - A *bearing* is the unit vector from the camera centre towards a scene point, in the camera frame.
+//! - A *bearing* is the unit vector from the camera center towards a scene point, in the camera frame.
 //!
 //! # Example
 //!

@@ -12,7 +12,7 @@ use crate::{Direction, Pinhole, Pose, Similarity, so3};
 const MIN_PLANE_ANGLE_RAD: f64 = 1e-9;
 
 /// How far, relative to its size, a stored line may be off unit length and orthogonality: many
-/// transformations may have passed over it since it was normalised, each adding some rounding.
+/// transformations may have passed over it since it was normalized, each adding some rounding.
 const MAX_STORED_ERROR: f64 = 1e-6;
 
 /// An infinite line: a unit direction `v` and a moment `n = X × v`, the same for every point `X` on it.
@@ -105,11 +105,11 @@ impl Line3 {
         (point.cross(&self.direction) - self.moment).norm()
     }
 
-    /// The parameter of the point of the line nearest to the ray from `centre` along the unit vector `ray`:
+    /// The parameter of the point of the line nearest to the ray from `center` along the unit vector `ray`:
     /// where an observed endpoint lies on the line. `None` if they are parallel.
     #[inline]
-    pub fn parameter_nearest_to_ray(&self, centre: &Vector3<f64>, ray: &Vector3<f64>) -> Option<f64> {
-        let w = centre - self.origin();
+    pub fn parameter_nearest_to_ray(&self, center: &Vector3<f64>, ray: &Vector3<f64>) -> Option<f64> {
+        let w = center - self.origin();
         let b = self.direction.dot(ray);
         let parameter = (self.direction.dot(&w) - b * ray.dot(&w)) / (1.0 - b * b);
         parameter.is_finite().then_some(parameter)
@@ -134,7 +134,7 @@ impl Line3 {
     }
 
     /// The image line `l`, with `l · (u, v, 1) = 0` for its pixels, of this line in the frame of `camera`.
-    /// Not normalised; zero if the line passes the camera centre.
+    /// Not normalized; zero if the line passes the camera center.
     #[inline]
     pub fn image_line(&self, camera: &Pinhole) -> Vector3<f64> {
         let n = &self.moment;
@@ -168,7 +168,7 @@ impl Mul<Line3> for Similarity {
     }
 }
 
-/// The plane `(a, a₄)` in the world, `a · X + a₄ = 0`, that a camera's centre and an observed segment span;
+/// The plane `(a, a₄)` in the world, `a · X + a₄ = 0`, that a camera's center and an observed segment span;
 /// `normal` is the unit normal in the camera frame.
 #[inline]
 pub fn interpretation_plane(camera_from_world: &Pose, normal: &Vector3<f64>) -> Vector4<f64> {
@@ -212,11 +212,11 @@ pub fn triangulate_many(views: &[(Pose, Vector3<f64>)], scene_depth: f64) -> Opt
     if views.len() < 2 || !(scene_depth.is_finite() && scene_depth > 0.0) {
         return None;
     }
-    let mean_centre = views.iter().map(|(pose, _)| pose.centre()).sum::<Vector3<f64>>() / views.len() as f64;
+    let mean_center = views.iter().map(|(pose, _)| pose.center()).sum::<Vector3<f64>>() / views.len() as f64;
     let mut normal_matrix = Matrix4::zeros();
     for (pose, normal) in views {
         let mut plane = interpretation_plane(pose, normal);
-        plane.w = (plane.w + plane.xyz().dot(&mean_centre)) / scene_depth;
+        plane.w = (plane.w + plane.xyz().dot(&mean_center)) / scene_depth;
         normal_matrix += plane * plane.transpose();
     }
     if !normal_matrix.iter().all(|x| x.is_finite()) {
@@ -235,7 +235,7 @@ pub fn triangulate_many(views: &[(Pose, Vector3<f64>)], scene_depth: f64) -> Opt
     let direction = b.xyz() * a.w - a.xyz() * b.w;
     let moment = a.xyz().cross(&b.xyz());
     let local = Line3::from_pluecker(&moment, &direction)?;
-    let line = Line3::from_point_direction(&(local.origin() * scene_depth + mean_centre), local.direction())?;
+    let line = Line3::from_point_direction(&(local.origin() * scene_depth + mean_center), local.direction())?;
     Some(LineEstimate { line, rank_ratio: singular[1] / singular[2] })
 }
 
@@ -266,7 +266,7 @@ pub fn triangulate_with_direction(views: &[(Pose, Vector3<f64>)], direction: &Di
     Line3::from_point_direction(&(basis * y), direction.as_vector())
 }
 
-/// A line in the four-parameter form used for optimisation [Bartoli & Sturm 2005].
+/// A line in the four-parameter form used for optimization [Bartoli & Sturm 2005].
 ///
 /// `U = [u₁ u₂ u₃] = [n/|n|, v/|v|, u₁ × u₂]` is a rotation, and the angle `φ` of `(w₁, w₂) = (cos φ, sin φ)`
 /// weighs the two: `n = w₁ u₁`, `v = w₂ u₂`. Tangent vectors are `[θ(3), δφ]`, with `U ← U exp(θ)`.

@@ -9,9 +9,9 @@ pub struct PinholeCorrection {
     /// Relative change of both focal lengths.
     pub focal: f64,
     /// Shift of the principal point to the right, in horizontal focal lengths.
-    pub centre_x: f64,
+    pub center_x: f64,
     /// Shift of the principal point downwards, in vertical focal lengths.
-    pub centre_y: f64,
+    pub center_y: f64,
 }
 
 impl PinholeCorrection {
@@ -20,8 +20,8 @@ impl PinholeCorrection {
         Pinhole {
             fx: nominal.fx * (1.0 + self.focal),
             fy: nominal.fy * (1.0 + self.focal),
-            cx: nominal.cx + nominal.fx * self.centre_x,
-            cy: nominal.cy + nominal.fy * self.centre_y,
+            cx: nominal.cx + nominal.fx * self.center_x,
+            cy: nominal.cy + nominal.fy * self.center_y,
         }
     }
 
@@ -34,13 +34,13 @@ impl PinholeCorrection {
     /// in the ray.
     pub fn nominal_from_corrected(&self) -> Matrix3<f64> {
         let focal = 1.0 + self.focal;
-        Matrix3::new(focal, 0.0, self.centre_x, 0.0, focal, self.centre_y, 0.0, 0.0, 1.0)
+        Matrix3::new(focal, 0.0, self.center_x, 0.0, focal, self.center_y, 0.0, 0.0, 1.0)
     }
 
     /// Reverses [`nominal_from_corrected`](Self::nominal_from_corrected).
     pub fn corrected_from_nominal(&self) -> Matrix3<f64> {
         let by_focal = 1.0 / (1.0 + self.focal);
-        let (x, y) = (-self.centre_x * by_focal, -self.centre_y * by_focal);
+        let (x, y) = (-self.center_x * by_focal, -self.center_y * by_focal);
         Matrix3::new(by_focal, 0.0, x, 0.0, by_focal, y, 0.0, 0.0, 1.0)
     }
 }
@@ -86,19 +86,19 @@ impl Pinhole {
     /// The unit vector towards the scene point seen at `pixel`.
     #[inline]
     pub fn bearing(&self, pixel: &Vector2<f64>) -> Vector3<f64> {
-        let p = self.normalised(pixel);
+        let p = self.normalized(pixel);
         Vector3::new(p.x, p.y, 1.0).normalize()
     }
 
     /// Where the ray of `pixel` meets the plane `z = 1`.
     #[inline]
-    pub fn normalised(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
+    pub fn normalized(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
         Vector2::new((pixel.x - self.cx) / self.fx, (pixel.y - self.cy) / self.fy)
     }
 
-    /// The pixel of the point `(p.x, p.y, 1)`; the inverse of [`normalised`](Self::normalised).
+    /// The pixel of the point `(p.x, p.y, 1)`; the inverse of [`normalized`](Self::normalized).
     #[inline]
-    pub fn denormalised(&self, p: &Vector2<f64>) -> Vector2<f64> {
+    pub fn denormalized(&self, p: &Vector2<f64>) -> Vector2<f64> {
         Vector2::new(self.fx * p.x + self.cx, self.fy * p.y + self.cy)
     }
 

@@ -41,7 +41,7 @@ pub(crate) fn real_roots(coefficients: &[f64]) -> Vec<f64> {
     roots
 }
 
-/// Roots in `[-SEAM, SEAM)`, ascending. Between neighbouring roots of the derivative a polynomial is
+/// Roots in `[-SEAM, SEAM)`, ascending. Between neighboring roots of the derivative a polynomial is
 /// monotone, so it has at most one root there; and so down to the derivative that is a line.
 fn roots_within_seam(coefficients: &[f64], roots: &mut Vec<f64>) {
     let degree = coefficients.len().saturating_sub(1);

@@ -77,10 +77,10 @@ impl Pose {
         self.rotation.to_rotation_matrix().into_inner()
     }
 
-    /// The source-frame point that goes to the target's origin, `-Rᵀ t`: the camera centre in the world if
+    /// The source-frame point that goes to the target's origin, `-Rᵀ t`: the camera center in the world if
     /// this is `camera_from_world`.
     #[inline]
-    pub fn centre(&self) -> Vector3<f64> {
+    pub fn center(&self) -> Vector3<f64> {
         -(self.rotation.inverse() * self.translation)
     }
 

@@ -101,7 +101,7 @@ impl Similarity {
         (*other * self.inverse()).log()
     }
 
-    /// The rigid motion with the same rotation and centre, expressed in the units of the source: if this is a
+    /// The rigid motion with the same rotation and center, expressed in the units of the source: if this is a
     /// `camera_from_world` whose camera frame is in other units than the world, the result is the same
     /// camera in world units.
     #[inline]
@@ -202,7 +202,7 @@ fn mean_scaled_rotation(phi: &Vector3<f64>, sigma: f64) -> Matrix3<f64> {
     constant * Matrix3::identity() + linear * k + quadratic * (k * k)
 }
 
-/// The rotation `R` that maximises `Σ b · R a` for `correlation = Σ a bᵀ`: the eigenvector of the largest
+/// The rotation `R` that maximizes `Σ b · R a` for `correlation = Σ a bᵀ`: the eigenvector of the largest
 /// eigenvalue of Horn's quaternion matrix. `None` if it is not unique: the points lie on a line.
 fn horn_rotation(correlation: &Matrix3<f64>, magnitude: f64) -> Option<UnitQuaternion<f64>> {
     /// Least gap between the two largest eigenvalues, relative to the spread of the points.

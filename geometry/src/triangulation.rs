@@ -56,45 +56,45 @@ pub fn many_view(views: &[(Pose, Vector3<f64>)]) -> Option<Vector3<f64>> {
     let in_front = views.iter().all(|(pose, bearing)| pose.transform(&point).dot(bearing) > 0.0);
     let observable = views
         .iter()
-        .any(|(pose, _)| parallax(&views[0].0.centre(), &pose.centre(), &point) > MIN_PARALLAX_RAD);
+        .any(|(pose, _)| parallax(&views[0].0.center(), &pose.center(), &point) > MIN_PARALLAX_RAD);
     (in_front && observable).then_some(point)
 }
 
-/// The angle at `point` between the directions to two camera centres, in `[0, π]` radians; zero if the point
-/// coincides with a centre.
+/// The angle at `point` between the directions to two camera centers, in `[0, π]` radians; zero if the point
+/// coincides with a center.
 #[inline]
-pub fn parallax(centre_a: &Vector3<f64>, centre_b: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
-    let (a, b) = (centre_a - point, centre_b - point);
+pub fn parallax(center_a: &Vector3<f64>, center_b: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
+    let (a, b) = (center_a - point, center_b - point);
     a.cross(&b).norm().atan2(a.dot(&b))
 }
 
 /// The right singular vector of the stacked equations `bearing × (R X + t) = 0`. Coordinates are moved to the
-/// mean camera centre and scaled by the spread of the centres, so that the result does not depend on either.
+/// mean camera center and scaled by the spread of the centers, so that the result does not depend on either.
 fn linear(views: &[(Pose, Vector3<f64>)]) -> Option<Vector3<f64>> {
     if views.len() < 2 {
         return None;
     }
     let n = views.len() as f64;
-    let mean = views.iter().map(|(pose, _)| pose.centre()).sum::<Vector3<f64>>() / n;
+    let mean = views.iter().map(|(pose, _)| pose.center()).sum::<Vector3<f64>>() / n;
     let spread =
-        (views.iter().map(|(pose, _)| (pose.centre() - mean).norm_squared()).sum::<f64>() / n).sqrt();
+        (views.iter().map(|(pose, _)| (pose.center() - mean).norm_squared()).sum::<f64>() / n).sqrt();
     if !(spread.is_finite() && spread > 0.0) {
         return None;
     }
     let mut normal = Matrix4::zeros();
     for (pose, bearing) in views {
-        // With r the ray in the world and c the scaled centre, |r × (X - c w)|² = (X - c w)ᵀ Q (X - c w).
+        // With r the ray in the world and c the scaled center, |r × (X - c w)|² = (X - c w)ᵀ Q (X - c w).
         let ray = pose.rotation.inverse() * bearing;
-        let centre = (pose.centre() - mean) / spread;
+        let center = (pose.center() - mean) / spread;
         let q = Matrix3::identity() - ray * ray.transpose();
-        let qc = q * centre;
+        let qc = q * center;
         let mut block = normal.fixed_view_mut::<3, 3>(0, 0);
         block += q;
         let mut column = normal.fixed_view_mut::<3, 1>(0, 3);
         column -= qc;
         let mut row = normal.fixed_view_mut::<1, 3>(3, 0);
         row -= qc.transpose();
-        normal[(3, 3)] += centre.dot(&qc);
+        normal[(3, 3)] += center.dot(&qc);
     }
     if !normal.iter().all(|x| x.is_finite()) {
         return None;

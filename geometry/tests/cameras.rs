@@ -241,7 +241,7 @@ fn wrong_calibrations_are_refused_by_field() {
     );
 }
 
-const CORRECTION: PinholeCorrection = PinholeCorrection { focal: -0.02, centre_x: 0.01, centre_y: -0.005 };
+const CORRECTION: PinholeCorrection = PinholeCorrection { focal: -0.02, center_x: 0.01, center_y: -0.005 };
 
 #[test]
 fn a_corrected_camera_sees_the_same_pixels_by_other_rays() {

@@ -112,7 +112,7 @@ fn poses_act_as_a_group_on_points() {
         assert_close(&((a * b) * point), &(a * (b * point)), 1e-14, "composition");
         assert_close(&(a.inverse() * (a * point)), &point, 1e-14, "inverse");
         assert_close(&(a.rotation_matrix() * point + a.translation), &(a * point), 1e-14, "matrix");
-        assert_close(&(a * a.centre()), &Vector3::zeros(), 1e-14, "centre");
+        assert_close(&(a * a.center()), &Vector3::zeros(), 1e-14, "centre");
         let back = Pose::from_rotation_matrix(&a.rotation_matrix(), &a.translation);
         assert!(support::pose_error(&a, &back) < 1e-14);
         assert!(support::pose_error(&a.interpolate(&b, 0.0), &a) < 1e-14);

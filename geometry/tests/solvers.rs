@@ -144,8 +144,8 @@ fn homography_of_a_plane_is_recovered_and_decomposes_into_the_motion() {
             let (in_a, in_b) = squared_transfer_errors(&h, &h_inverse, a, b);
             assert!(in_a.max(in_b).sqrt() < 1e-4, "seed {seed}: {:e} px", in_a.max(in_b).sqrt());
         }
-        let normalised = CAMERA.inverse_matrix() * h * CAMERA.matrix();
-        let solutions = decompose_homography(&normalised);
+        let normalized = CAMERA.inverse_matrix() * h * CAMERA.matrix();
+        let solutions = decompose_homography(&normalized);
         assert_eq!(solutions.len(), 4, "seed {seed}");
         let expected = Pose::new(b_from_a.rotation, b_from_a.translation / distance);
         let error = solutions
@@ -205,7 +205,7 @@ fn points_are_triangulated_from_two_and_more_views() {
             .collect();
         let [(pose_a, bearing_a), (pose_b, bearing_b)] = [views[0], views[1]];
         let two = triangulation::two_view(&pose_a, &bearing_a, &pose_b, &bearing_b).unwrap();
-        let angle = triangulation::parallax(&pose_a.centre(), &pose_b.centre(), &point);
+        let angle = triangulation::parallax(&pose_a.center(), &pose_b.center(), &point);
         assert!((two - point).norm() < 1e-13 / angle.powi(2).min(1.0), "seed {seed}: {angle} rad");
         let many = triangulation::many_view(&views).unwrap();
         assert!((many - point).norm() < 1e-9, "seed {seed}: {:e}", (many - point).norm());
@@ -223,7 +223,7 @@ fn noisy_two_view_points_reproject_within_the_noise() {
         let Some(found) = triangulation::two_view(&Pose::identity(), &bearing_a, &b_from_a, &bearing_b)
         else {
             // Only rays that are nearly parallel may diverge by their noise.
-            let angle = triangulation::parallax(&Vector3::zeros(), &b_from_a.centre(), &points[0]);
+            let angle = triangulation::parallax(&Vector3::zeros(), &b_from_a.center(), &points[0]);
             assert!(angle < 8.0 * sigma, "seed {seed}: refused at {angle} rad");
             continue;
         };
@@ -317,7 +317,7 @@ fn pose_is_found_among_half_outliers_and_the_same_seed_gives_the_same_result() {
         assert_eq!(report, run(), "seed {seed}");
         let error = truth.local(&report.model);
         assert!(error.fixed_rows::<3>(0).norm() < 0.004, "seed {seed}: rotation off by {error}");
-        let shift = (truth.centre() - report.model.centre()).norm();
+        let shift = (truth.center() - report.model.center()).norm();
         assert!(shift < 0.02, "seed {seed}: centre off by {shift}");
         let n_false = report.inliers[..60].iter().filter(|inlier| **inlier).count();
         assert!(n_false <= 2 && report.n_inliers >= 55, "seed {seed}: {} inliers", report.n_inliers);
@@ -337,7 +337,7 @@ fn a_known_rotation_finds_the_pose_among_few_and_bad_observations() {
         let mut rotations: Vec<_> = (0..7).map(|_| support::pose(&mut rng, 3.1, 1.0).rotation).collect();
         rotations.push(truth.retract(&uniform(&mut rng, 0.005)).rotation);
         let config = RansacConfig { max_iterations: 300, ..RansacConfig::default() };
-        let is_found = |pose: &Pose| (truth.centre() - pose.centre()).norm() < 0.1;
+        let is_found = |pose: &Pose| (truth.center() - pose.center()).norm() < 0.1;
         let mut draw = ChaCha8Rng::seed_from_u64(seed);
         let found = ransac_pose_with_rotations(&observations, &rotations, &config, &mut draw);
         n_found += usize::from(found.is_some_and(|report| is_found(&report.model)));

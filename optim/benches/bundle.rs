@@ -1,4 +1,4 @@
-//! Time of one Levenberg-Marquardt iteration, linearisation and cost included, and of a frame's pose.
+//! Time of one Levenberg-Marquardt iteration, linearization and cost included, and of a frame's pose.
 
 #[path = "../tests/common/mod.rs"]
 mod common;

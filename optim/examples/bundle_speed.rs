@@ -61,7 +61,7 @@ fn main() {
     }
 }
 
-/// Four rounds of pose optimisation with a fifth of the observations wrong; too short for the processor
+/// Four rounds of pose optimization with a fifth of the observations wrong; too short for the processor
 /// clock, so the best of many by the wall clock.
 fn single_pose(n: usize) {
     let world = World::new(WorldSize { n_cameras: 2, n_points: n, n_observations: 2 * n }, 1.0, 3);

@@ -1,4 +1,4 @@
-//! What a variable must offer to be optimised: a tangent space, `retract` and `local`.
+//! What a variable must offer to be optimized: a tangent space, `retract` and `local`.
 
 use geometry::{Direction, OrthonormalLine, Pose, Similarity};
 use nalgebra::SVector;

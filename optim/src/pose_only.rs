@@ -231,7 +231,7 @@ pub struct SingleReport<T, const N: usize> {
     pub stop: StopReason,
 }
 
-/// Optimises one variable over groups of unary factors, judging outliers between rounds.
+/// Optimizes one variable over groups of unary factors, judging outliers between rounds.
 ///
 /// ```
 /// use nalgebra::{Matrix1, Vector1};

@@ -1,4 +1,4 @@
-//! Cholesky factorisation of the reduced system by faer, dense or sparse, without allocating per iteration.
+//! Cholesky factorization of the reduced system by faer, dense or sparse, without allocating per iteration.
 
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt;
@@ -10,15 +10,15 @@ use faer::{Conj, Mat, MatMut, Par, Side};
 
 use crate::layout::Layout;
 
-/// Up to this dimension dense factorisation wins whatever the sparsity.
+/// Up to this dimension dense factorization wins whatever the sparsity.
 const DENSE_DIM: usize = 300;
-/// Above [`DENSE_DIM`], the share of present blocks from which dense factorisation still wins.
+/// Above [`DENSE_DIM`], the share of present blocks from which dense factorization still wins.
 const DENSE_FILL: f64 = 0.4;
 
 /// One thread: a session's work stays on the session's thread, and sums keep their order.
 const SEQUENTIAL: Par = Par::Seq;
 
-/// How the reduced system is factorised.
+/// How the reduced system is factorized.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LinearSolver {
     /// Dense for small or densely connected problems, sparse for large and loose ones.
@@ -34,7 +34,7 @@ pub enum LinearSolver {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct NotPositiveDefinite;
 
-/// Factorises and solves the reduced system, with all its memory set aside.
+/// Factorizes and solves the reduced system, with all its memory set aside.
 pub(crate) enum ReducedSolver {
     Dense(DenseCholesky),
     Sparse(Box<SparseCholesky>),
@@ -54,7 +54,7 @@ impl ReducedSolver {
         }
     }
 
-    /// Factorises `system`, laid out as in `layout`.
+    /// Factorizes `system`, laid out as in `layout`.
     pub(crate) fn factorize(&mut self, layout: &Layout, system: &[f64]) -> Result<(), NotPositiveDefinite> {
         match self {
             Self::Dense(dense) => dense.factorize(layout, system),
@@ -62,7 +62,7 @@ impl ReducedSolver {
         }
     }
 
-    /// Solves in place with the last factorisation.
+    /// Solves in place with the last factorization.
     pub(crate) fn solve(&mut self, rhs: &mut [f64]) {
         match self {
             Self::Dense(dense) => dense.solve(rhs),

@@ -20,7 +20,7 @@ pub struct SolverOptions {
     pub initial_lambda: f64,
     /// Diagonal entries below this are damped as if they were this large. Default 1e-6.
     pub min_diagonal: f64,
-    /// How the reduced system is factorised. Default [`LinearSolver::Auto`].
+    /// How the reduced system is factorized. Default [`LinearSolver::Auto`].
     pub linear_solver: LinearSolver,
 }
 
@@ -134,7 +134,7 @@ impl Lambda {
 }
 
 impl Problem {
-    /// Minimises the cost by Levenberg-Marquardt from the current values, which are only ever replaced by
+    /// Minimizes the cost by Levenberg-Marquardt from the current values, which are only ever replaced by
     /// better ones. `abort` is asked before every iteration.
     ///
     /// ```

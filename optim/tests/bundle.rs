@@ -21,13 +21,13 @@ fn thorough() -> SolverOptions {
     SolverOptions { max_iterations: 60, min_relative_decrease: 1e-14, min_step: 1e-12, ..Default::default() }
 }
 
-/// Largest distance between camera centres of a solution and of the truth.
-fn worst_centre(bundle: &Bundle, truth: &World) -> f64 {
+/// Largest distance between camera centers of a solution and of the truth.
+fn worst_center(bundle: &Bundle, truth: &World) -> f64 {
     let distances = bundle
         .poses
         .iter()
         .zip(&truth.poses)
-        .map(|(id, pose)| (bundle.problem.value(*id).centre() - pose.centre()).norm());
+        .map(|(id, pose)| (bundle.problem.value(*id).center() - pose.center()).norm());
     distances.fold(0.0, f64::max)
 }
 
@@ -37,7 +37,7 @@ fn exact_observations_give_back_the_world() {
     let mut bundle = Bundle::new(&world.disturbed(0.01, 0.05, 0.1, 2), Kernel::None);
     let report = bundle.problem.solve(&thorough(), never);
     assert!(report.last.robust < 1e-12, "{report:?}");
-    assert!(worst_centre(&bundle, &world) < 1e-7, "{}", worst_centre(&bundle, &world));
+    assert!(worst_center(&bundle, &world) < 1e-7, "{}", worst_center(&bundle, &world));
 }
 
 #[test]
@@ -191,7 +191,7 @@ fn kernels_resist_a_tenth_of_outliers() {
     let error = |kernel| {
         let mut bundle = Bundle::new(&start, kernel);
         bundle.problem.solve(&SolverOptions { max_iterations: 60, ..Default::default() }, never);
-        worst_centre(&bundle, &truth)
+        worst_center(&bundle, &truth)
     };
     let (plain, huber, cauchy) =
         (error(Kernel::None), error(Kernel::huber_95(2)), error(Kernel::cauchy_95()));

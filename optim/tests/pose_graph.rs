@@ -1,4 +1,4 @@
-//! Pose graphs: no landmarks, sparse factorisation, far from the minimum.
+//! Pose graphs: no landmarks, sparse factorization, far from the minimum.
 
 mod common;
 
@@ -94,8 +94,8 @@ fn parse_edge<'a>(words: impl Iterator<Item = &'a str>) -> Edge {
     (i as usize, j as usize, ChordalEdge { i_from_j, sqrt_kappa, sqrt_tau })
 }
 
-/// Chains the odometry edges, optimises, and returns SE-Sync's cost.
-fn optimised_cost(n_poses: usize, edges: Vec<Edge>) -> f64 {
+/// Chains the odometry edges, optimizes, and returns SE-Sync's cost.
+fn optimized_cost(n_poses: usize, edges: Vec<Edge>) -> f64 {
     let mut world_from_body = vec![Pose::identity(); n_poses];
     for (i, j, edge) in edges.iter().filter(|(i, j, _)| *j == i + 1) {
         world_from_body[*j] = world_from_body[*i] * edge.i_from_j;
@@ -114,7 +114,7 @@ fn optimised_cost(n_poses: usize, edges: Vec<Edge>) -> f64 {
 #[track_caller]
 fn assert_optimum(name: &str, certified: f64) {
     let (n_poses, edges) = read_g2o(name);
-    let cost = optimised_cost(n_poses, edges);
+    let cost = optimized_cost(n_poses, edges);
     assert!((cost / certified - 1.0).abs() < 0.01, "{name}: {cost} instead of {certified}");
 }
 

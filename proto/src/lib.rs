@@ -22,6 +22,6 @@ pub mod v1 {
     include!("generated/monoslam.v1.rs");
 }
 
-/// The compiled .proto files with everything they import, a serialised `google.protobuf.FileDescriptorSet`:
+/// The compiled .proto files with everything they import, a serialized `google.protobuf.FileDescriptorSet`:
 /// what the reflection service answers from.
 pub const FILE_DESCRIPTOR_SET: &[u8] = include_bytes!("generated/descriptor.bin");

@@ -36,7 +36,7 @@ pub struct Config {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
-    /// Largest gRPC message, bytes. Default 64 MiB: the largest raw colour image with room to spare.
+    /// Largest gRPC message, bytes. Default 64 MiB: the largest raw color image with room to spare.
     pub max_message_bytes: usize,
     /// Largest image, pixels. Default 4096 * 3072. Checked before an image is decoded.
     pub max_image_pixels: u64,
@@ -71,13 +71,14 @@ pub struct SessionConfig {
     pub lossless_queue_frames: usize,
     /// Newest frames kept waiting in a REALTIME stream; older ones are dropped. Default 2.
     pub realtime_queue_frames: usize,
-    /// Keep the images of key frames, as they were sent (raw ones as PNG). Default true.
+    /// Keep the images of keyframes, as they were sent (raw ones as PNG). Default true.
     pub keep_keyframe_images: bool,
     /// Seconds between attempts to save after one failed, as when the disk is full. Default 1.
     pub save_retry_s: f64,
     /// Single images located at the same time; further ones wait their turn. Default 1: each takes a core and
     /// as much memory as its map.
-    pub n_localisations: usize,
+    #[serde(alias = "n_localisations")]
+    pub n_localizations: usize,
 }
 
 impl Default for SessionConfig {
@@ -88,7 +89,7 @@ impl Default for SessionConfig {
             realtime_queue_frames: 2,
             keep_keyframe_images: true,
             save_retry_s: 1.0,
-            n_localisations: 1,
+            n_localizations: 1,
         }
     }
 }
@@ -215,7 +216,7 @@ impl Config {
         let counts = [
             ("sessions.lossless_queue_frames", self.sessions.lossless_queue_frames),
             ("sessions.realtime_queue_frames", self.sessions.realtime_queue_frames),
-            ("sessions.n_localisations", self.sessions.n_localisations),
+            ("sessions.n_localizations", self.sessions.n_localizations),
             ("limits.max_loaded_sessions", self.limits.max_loaded_sessions),
         ];
         for (field, count) in counts {

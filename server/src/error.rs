@@ -11,11 +11,11 @@ pub enum ErrorCode {
     InvalidArgument,
     /// There is no session with this id.
     SessionNotFound,
-    /// The session has no key frame with this id.
+    /// The session has no keyframe with this id.
     KeyframeNotFound,
     /// The session has no global primitive with this id.
     PrimitiveNotFound,
-    /// The key frame's image was not kept.
+    /// The keyframe's image was not kept.
     ImageNotFound,
     /// There is no such path.
     NotFound,
@@ -84,9 +84,9 @@ impl ErrorCode {
         match self {
             Self::InvalidArgument => "The request cannot be used",
             Self::SessionNotFound => "No such session",
-            Self::KeyframeNotFound => "No such key frame",
+            Self::KeyframeNotFound => "No such keyframe",
             Self::PrimitiveNotFound => "No such global primitive",
-            Self::ImageNotFound => "The key frame's image was not kept",
+            Self::ImageNotFound => "The keyframe's image was not kept",
             Self::NotAvailable => "Not available in this version",
             Self::TooBusy => "Too much is asked at once",
             Self::NotFound => "No such path",

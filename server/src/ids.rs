@@ -24,7 +24,7 @@ macro_rules! row_id {
         }
     };
 }
-row_id!(KeyframeId, "a key frame");
+row_id!(KeyframeId, "a keyframe");
 row_id!(PointId, "a point");
 row_id!(LineId, "a line");
 row_id!(PrimitiveId, "a primitive");

@@ -1,7 +1,7 @@
 //! What callers are told in, whichever interface they ask by: cameras, states, poses, and what a length of 1
 //! means.
 //!
-//! Serialised, these are the JSON of the HTTP interface and of exported files; the gRPC interface has
+//! Serialized, these are the JSON of the HTTP interface and of exported files; the gRPC interface has
 //! messages of its own.
 
 use geometry::nalgebra::Vector3;
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use slam::map::FrameState;
 use utoipa::ToSchema;
 
-/// A camera's calibration. Lengths are pixels; the origin is the centre of the top-left pixel.
+/// A camera's calibration. Lengths are pixels; the origin is the center of the top-left pixel.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
@@ -171,7 +171,7 @@ impl Units {
         Self { metres_per_unit }
     }
 
-    /// How answers are labelled.
+    /// How answers are labeled.
     pub fn scale(self) -> Scale {
         Scale::of(self.metres_per_unit)
     }

@@ -34,7 +34,7 @@ pub struct SessionOptions {
     /// Self-calibration: whether focal length and principal point are refined as the map grows.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refine_calibration: Option<bool>,
-    /// Most key frames the session keeps.
+    /// Most keyframes the session keeps.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_keyframes: Option<u32>,
 }
@@ -119,7 +119,7 @@ pub fn engine_config(options: &SessionOptions) -> Result<SlamConfig, ApiError> {
     }
     if let Some(n_features) = options.n_features {
         config.orb.n_features = n_features as usize;
-        config.initialisation.n_features = config.initialisation.n_features.max(n_features as usize);
+        config.initialization.n_features = config.initialization.n_features.max(n_features as usize);
     }
     if let Some(max_keyframes) = options.max_keyframes {
         config.keyframes.max_keyframes = max_keyframes as usize;

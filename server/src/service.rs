@@ -21,7 +21,7 @@ const MIN_IMAGE_PX: (u32, u32) = (160, 120);
 const MAX_IMAGE_PX: (u32, u32) = (4096, 3072);
 
 /// How long a single image may wait for its turn to be located.
-const LOCALISATION_PATIENCE: Duration = Duration::from_secs(20);
+const LOCALIZATION_PATIENCE: Duration = Duration::from_secs(20);
 
 /// Metres a map unit can be: from an insect's flight to a satellite's.
 const METRES_PER_UNIT: std::ops::RangeInclusive<f64> = 1e-6..=1e9;
@@ -35,7 +35,7 @@ pub struct Service {
     /// Sessions there are. Held while one is made, so that two at once cannot pass the limit.
     n_sessions: tokio::sync::Mutex<u64>,
     /// Single images that may be located at the same time.
-    localisations: Semaphore,
+    localizations: Semaphore,
 }
 
 /// A session to be made.
@@ -57,9 +57,9 @@ impl Service {
     pub async fn new(config: Arc<Config>, store: Store) -> Result<Self, ApiError> {
         let registry = Registry::new(config.clone(), store.clone());
         let n_sessions = tokio::sync::Mutex::new(count_sessions(&store).await?);
-        let localisations = Semaphore::new(config.sessions.n_localisations);
+        let localizations = Semaphore::new(config.sessions.n_localizations);
         let maps = MapQueries::new(store.clone(), config.data_dir.clone());
-        Ok(Self { config, store, maps, registry, n_sessions, localisations })
+        Ok(Self { config, store, maps, registry, n_sessions, localizations })
     }
 
     /// The session's options.
@@ -190,10 +190,10 @@ impl Service {
     /// # Errors
     /// If there is none of this id, the image cannot be used, or too many wait. A place that is not found is
     /// no error.
-    pub async fn localise(&self, id: &SessionId, image: SentImage) -> Result<Located, ApiError> {
+    pub async fn localize(&self, id: &SessionId, image: SentImage) -> Result<Located, ApiError> {
         self.registry.check_open()?;
         self.store.get_session(id.as_str()).await?;
-        let turn = tokio::time::timeout(LOCALISATION_PATIENCE, self.localisations.acquire()).await;
+        let turn = tokio::time::timeout(LOCALIZATION_PATIENCE, self.localizations.acquire()).await;
         let _turn = turn
             .map_err(|_elapsed| {
                 let sentence = "as many images are being located as this server takes; try again later";
@@ -201,14 +201,14 @@ impl Service {
             })?
             .map_err(ApiError::internal)?;
         let context = LoadContext { store: &self.store, id };
-        session::localise(&context, image, self.config.decode_limits()).await
+        session::localize(&context, image, self.config.decode_limits()).await
     }
 
     /// Global bundle adjustment of a session's map.
     ///
     /// # Errors
     /// Always: this version has none.
-    pub async fn optimise(&self, id: &SessionId) -> Result<(), ApiError> {
+    pub async fn optimize(&self, id: &SessionId) -> Result<(), ApiError> {
         self.store.get_session(id.as_str()).await?;
         let sentence =
             "this version has no global bundle adjustment; maps are adjusted locally while frames come in";

@@ -14,7 +14,7 @@ const KILLED_AFTER: [usize; 3] = [3, 25, 85];
 /// Frames in all.
 const N_FRAMES: usize = 120;
 /// Frames in which a session must have found its place again: two seconds.
-const N_RELOCALISING_FRAMES: usize = 20;
+const N_RELOCALIZING_FRAMES: usize = 20;
 
 /// A server in a process of its own.
 struct ServerProcess {
@@ -147,7 +147,7 @@ async fn a_killed_server_keeps_every_promise_and_goes_on_in_the_same_map() {
     frames.finish().await.unwrap();
     let found = answers.iter().position(|answer| answer.state() == v1::TrackingState::Tracked);
     let found = found.expect("the session finds its place again");
-    assert!(found < N_RELOCALISING_FRAMES, "it took {found} frames to find the place again");
+    assert!(found < N_RELOCALIZING_FRAMES, "it took {found} frames to find the place again");
     assert_one_frame_of_reference(server.http_addr, &world, next).await;
     assert!(server.terminate(), "the server ends well when asked to");
     check(folder.path());

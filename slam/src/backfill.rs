@@ -6,7 +6,7 @@
 //! lies between two submaps and is reached from neither is kept on, and followed from both sides once the two
 //! have been merged.
 
-use crate::config::{InitialisationConfig, SlamConfig};
+use crate::config::{InitializationConfig, SlamConfig};
 use crate::features::View;
 use crate::map::{FramePose, FrameRecord, FrameState, Map, median_depth};
 use crate::report::TrackingOutcome;
@@ -103,7 +103,7 @@ impl Backfill {
         } else if self.is_mature {
             return;
         }
-        if self.waiting.len() >= self.config.initialisation.max_backfill_views {
+        if self.waiting.len() >= self.config.initialization.max_backfill_views {
             self.waiting.pop_front();
         }
         self.waiting.push_back(Waiting { view: view.clone(), n_inliers });
@@ -164,8 +164,8 @@ impl Backfill {
     /// From the present frame to those kept before it.
     fn way_back(&mut self, map: &Map, force: bool) -> Option<Way> {
         let start = self.start.as_ref()?;
-        let is_full = self.waiting.len() >= self.config.initialisation.max_backfill_views;
-        self.is_mature |= is_mature(map, &start.frame, &self.config.initialisation);
+        let is_full = self.waiting.len() >= self.config.initialization.max_backfill_views;
+        self.is_mature |= is_mature(map, &start.frame, &self.config.initialization);
         if !(self.is_mature || is_full || force) {
             return None;
         }
@@ -195,7 +195,7 @@ impl Backfill {
                 left.reverse();
                 self.gaps.push_back(Gap { before: *before, after: reached, views: left });
                 let n_kept = |gaps: &VecDeque<Gap>| gaps.iter().map(|gap| gap.views.len()).sum::<usize>();
-                while n_kept(&self.gaps) > self.config.initialisation.max_backfill_views {
+                while n_kept(&self.gaps) > self.config.initialization.max_backfill_views {
                     self.gaps.pop_front();
                 }
             }
@@ -271,9 +271,9 @@ impl Way {
     }
 }
 
-/// Whether the key frames of the frame's submap are many enough, and spread widely enough, for its depths to
+/// Whether the keyframes of the frame's submap are many enough, and spread widely enough, for its depths to
 /// be known well.
-fn is_mature(map: &Map, frame: &TrackedFrame, config: &InitialisationConfig) -> bool {
+fn is_mature(map: &Map, frame: &TrackedFrame, config: &InitializationConfig) -> bool {
     let in_submap = || map.keyframes_of(frame.submap);
     if in_submap().take(config.mature_keyframes).count() < config.mature_keyframes {
         return false;
@@ -283,8 +283,8 @@ fn is_mature(map: &Map, frame: &TrackedFrame, config: &InitialisationConfig) -> 
     else {
         return false;
     };
-    let origin = origin.camera_from_world.centre();
+    let origin = origin.camera_from_world.center();
     in_submap().any(|other| {
-        (other.camera_from_world.centre() - origin).norm() >= config.mature_baseline_share * median_depth
+        (other.camera_from_world.center() - origin).norm() >= config.mature_baseline_share * median_depth
     })
 }

@@ -5,7 +5,7 @@ use crate::map::{Keyframe, KeyframeId, Map, SubmapId, median_depth};
 use geometry::Similarity;
 use geometry::nalgebra::Vector3;
 
-/// Key frames at the end of a submap from which the camera's speed is taken.
+/// Keyframes at the end of a submap from which the camera's speed is taken.
 const N_SPEED_KEYFRAMES: usize = 10;
 
 /// How far a camera may have come since it was last seen.
@@ -14,13 +14,13 @@ pub(crate) struct Reach {
     /// The submap it was last seen in.
     pub submap: SubmapId,
     /// Where it was, map units.
-    centre: Vector3<f64>,
+    center: Vector3<f64>,
     /// How far it may be from there, map units.
     radius: f64,
 }
 
 impl Reach {
-    /// From the key frames made before `timestamp_ns`; `None` where it was long ago or the speed is unknown.
+    /// From the keyframes made before `timestamp_ns`; `None` where it was long ago or the speed is unknown.
     pub fn after_keyframes(
         map: &Map,
         submap: SubmapId,
@@ -34,24 +34,24 @@ impl Reach {
         let (first, last) = (newest.first()?, newest.last()?);
         let way: f64 = newest
             .windows(2)
-            .map(|pair| (pair[0].camera_from_world.centre() - pair[1].camera_from_world.centre()).norm())
+            .map(|pair| (pair[0].camera_from_world.center() - pair[1].camera_from_world.center()).norm())
             .sum();
         let speed_per_ns = way / (last.timestamp_ns - first.timestamp_ns).max(1) as f64;
         Self::from(
             map,
             last.id,
-            &last.camera_from_world.centre(),
+            &last.camera_from_world.center(),
             speed_per_ns,
             timestamp_ns - last.timestamp_ns,
             config,
         )
     }
 
-    /// From where the camera was `elapsed_ns` ago, beside a key frame; `None` where that is long ago.
+    /// From where the camera was `elapsed_ns` ago, beside a keyframe; `None` where that is long ago.
     pub fn from(
         map: &Map,
         beside: KeyframeId,
-        centre: &Vector3<f64>,
+        center: &Vector3<f64>,
         speed_per_ns: f64,
         elapsed_ns: i64,
         config: &ContinuityConfig,
@@ -62,12 +62,12 @@ impl Reach {
         let keyframe = map.anchor_of(beside)?;
         let radius = config.depth_share * median_depth(map, keyframe)?
             + config.speed_factor * speed_per_ns * elapsed_ns.abs() as f64;
-        radius.is_finite().then_some(Self { submap: keyframe.submap, centre: *centre, radius })
+        radius.is_finite().then_some(Self { submap: keyframe.submap, center: *center, radius })
     }
 
     /// Whether a camera there, map units, can be the one that was last seen.
-    pub fn includes(&self, centre: &Vector3<f64>) -> bool {
-        (centre - self.centre).norm() <= self.radius
+    pub fn includes(&self, center: &Vector3<f64>) -> bool {
+        (center - self.center).norm() <= self.radius
     }
 }
 
@@ -83,6 +83,6 @@ pub(crate) fn can_follow(
     let Some(first) = map.keyframes_of(newer).min_by_key(|keyframe| keyframe.timestamp_ns) else {
         return true;
     };
-    let centre = older_from_newer.transform(&first.camera_from_world.centre());
-    Reach::after_keyframes(map, older, first.timestamp_ns, config).is_none_or(|reach| reach.includes(&centre))
+    let center = older_from_newer.transform(&first.camera_from_world.center());
+    Reach::after_keyframes(map, older, first.timestamp_ns, config).is_none_or(|reach| reach.includes(&center))
 }

@@ -10,7 +10,7 @@ use vision::{Descriptor, Features, GridBounds, Keypoint, KeypointGrid};
 pub struct PyramidGeometry {
     /// How many levels there are.
     pub n_levels: u8,
-    /// Ratio of the sizes of neighbouring levels, above 1.
+    /// Ratio of the sizes of neighboring levels, above 1.
     pub scale_factor: f64,
 }
 
@@ -76,7 +76,7 @@ impl View {
     }
 }
 
-/// The points and lines of one frame. Immutable once made and shared between the frame, its key frame and the
+/// The points and lines of one frame. Immutable once made and shared between the frame, its keyframe and the
 /// store.
 #[derive(Clone, Debug)]
 pub struct FrameFeatures {

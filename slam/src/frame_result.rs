@@ -14,7 +14,7 @@ pub(crate) struct FrameResult {
     /// The frame, where it has a pose.
     pub frame: Option<TrackedFrame>,
     pub inliers: Inliers,
-    pub relocalised: bool,
+    pub relocalized: bool,
     /// Places that were tried, if the camera had to be looked for.
     pub n_candidates: Option<usize>,
     pub is_keyframe: bool,
@@ -24,7 +24,7 @@ impl FrameResult {
     /// A frame without a pose.
     pub fn nowhere(outcome: TrackingOutcome) -> Self {
         let inliers = Inliers::default();
-        Self { outcome, frame: None, inliers, relocalised: false, n_candidates: None, is_keyframe: false }
+        Self { outcome, frame: None, inliers, relocalized: false, n_candidates: None, is_keyframe: false }
     }
 
     /// The second of the two frames that a map was begun with.
@@ -69,8 +69,8 @@ impl FrameResult {
             n_inlier_points: self.inliers.n_points,
             n_inlier_lines: self.inliers.n_lines,
             is_keyframe: self.is_keyframe,
-            relocalised: self.relocalised,
-            n_relocalisation_candidates: self.n_candidates,
+            relocalized: self.relocalized,
+            n_relocalization_candidates: self.n_candidates,
             map_events,
             stages: times.stages,
             wall_ns: times.wall_ns,
@@ -81,7 +81,7 @@ impl FrameResult {
 
 impl From<Tracked> for FrameResult {
     fn from(tracked: Tracked) -> Self {
-        let Tracked { outcome, frame, inliers, relocalised, n_candidates } = tracked;
-        Self { outcome, frame, inliers, relocalised, n_candidates, is_keyframe: false }
+        let Tracked { outcome, frame, inliers, relocalized, n_candidates } = tracked;
+        Self { outcome, frame, inliers, relocalized, n_candidates, is_keyframe: false }
     }
 }

@@ -52,8 +52,9 @@ mod continuity;
 pub mod features;
 mod frame_result;
 mod front_end;
-mod initialisation;
+mod initialization;
 mod input;
+mod keyframe_index;
 mod landmarks;
 mod loops;
 pub mod map;
@@ -61,7 +62,6 @@ mod mapping;
 mod matching;
 mod parallel;
 pub mod pipeline;
-mod places;
 pub mod report;
 mod submaps;
 #[cfg(test)]
@@ -72,8 +72,8 @@ mod vanishing;
 
 pub use clock::{Clock, NoClock};
 pub use config::{
-    AlignmentConfig, ConfigError, ContinuityConfig, FeatureSwitches, InitialisationConfig, KeyframeConfig,
-    LineConfig, LoopConfig, MappingConfig, PrimitiveConfig, RelocalisationConfig, SlamConfig, SubmapConfig,
+    AlignmentConfig, ConfigError, ContinuityConfig, FeatureSwitches, InitializationConfig, KeyframeConfig,
+    LineConfig, LoopConfig, MappingConfig, PrimitiveConfig, RelocalizationConfig, SlamConfig, SubmapConfig,
     Threading, TrackingConfig,
 };
 pub use input::{Frame, FrameError, ResumeError, ResumeState};
@@ -81,6 +81,6 @@ pub use loops::{KeyframeTies, essential_edges};
 pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::Pipeline;
 pub use report::{
-    FrameReport, InitialisationWait, LineJudgement, LineVerdict, LostReason, MapEvent, PoseUncertainty,
+    FrameReport, InitializationWait, LineJudgement, LineVerdict, LostReason, MapEvent, PoseUncertainty,
     TrackingOutcome,
 };

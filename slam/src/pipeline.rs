@@ -8,12 +8,12 @@ use crate::config::SlamConfig;
 use crate::features::View;
 use crate::frame_result::FrameResult;
 use crate::front_end::FrontEnd;
-use crate::initialisation::{InitialPair, Initialiser};
+use crate::initialization::{InitialPair, Initializer};
 use crate::input::{Frame, FrameError};
 use crate::map::{FramePose, KeyframeId, Map};
 use crate::mapping::stage::MappingStage;
 use crate::mapping::{InitialMap, NewKeyframe};
-use crate::report::{FrameReport, InitialisationWait, LostReason, TrackingOutcome};
+use crate::report::{FrameReport, InitializationWait, LostReason, TrackingOutcome};
 use crate::submaps::{Abandoned, SubmapPolicy};
 use crate::tracking::frame::TrackedFrame;
 use crate::tracking::judgement::is_certain_enough;
@@ -25,8 +25,8 @@ use vision::lines::LineTrackingStatistics;
 
 /// A monocular SLAM session: frames in, reports and map updates out.
 ///
-/// One frame passes through `extract`, then `track` or, while there is no map to follow, `initialise`, then
-/// `extend` (a frame that shows something new becomes a key frame, and mapping takes it from there). A camera
+/// One frame passes through `extract`, then `track` or, while there is no map to follow, `initialize`, then
+/// `extend` (a frame that shows something new becomes a keyframe, and mapping takes it from there). A camera
 /// that is lost for long begins a new submap, while it is still looked for in the others; mapping joins the
 /// submaps where they meet.
 pub struct Pipeline {
@@ -39,7 +39,7 @@ pub struct Pipeline {
     map: Arc<Map>,
     tracker: Tracker,
     /// Present while there is no map to follow.
-    initialiser: Option<Initialiser>,
+    initializer: Option<Initializer>,
     backfill: Backfill,
     submaps: SubmapPolicy,
     trajectory: TrajectoryLog,
@@ -61,7 +61,7 @@ impl Pipeline {
 
         let (mut view, line_statistics) = self.extract(frame, &mut stopwatch);
         // A stream that comes as fast as it is taken would run ahead of the map, further than any camera
-        // does: where new texture is all there is, what the newest key frames add decides the scale.
+        // does: where new texture is all there is, what the newest keyframes add decides the scale.
         if self.lossless {
             self.mapping.wait();
         }
@@ -71,8 +71,8 @@ impl Pipeline {
         stopwatch.lap("map_sync");
         let mut result = self.track(&view);
         stopwatch.lap(if result.n_candidates.is_some() { "relocalise" } else { "track" });
-        if result.frame.is_none() && self.initialiser.is_some() {
-            result = self.initialise(&view, result.n_candidates);
+        if result.frame.is_none() && self.initializer.is_some() {
+            result = self.initialize(&view, result.n_candidates);
             stopwatch.lap("initialise");
         }
         self.record(&view, &result);
@@ -110,10 +110,10 @@ impl Pipeline {
     }
 
     /// Tries to begin a map, or a further submap, with this view.
-    fn initialise(&mut self, view: &View, n_candidates: Option<usize>) -> FrameResult {
-        let attempt = match &mut self.initialiser {
-            Some(initialiser) if self.mapping_enabled => initialiser.try_start(view.clone()),
-            _ => Err(InitialisationWait::MappingDisabled),
+    fn initialize(&mut self, view: &View, n_candidates: Option<usize>) -> FrameResult {
+        let attempt = match &mut self.initializer {
+            Some(initializer) if self.mapping_enabled => initializer.try_start(view.clone()),
+            _ => Err(InitializationWait::MappingDisabled),
         };
         let result = match attempt {
             Err(wait) => FrameResult::nowhere(TrackingOutcome::Initialising(wait)),
@@ -149,7 +149,7 @@ impl Pipeline {
     /// Follows the camera in the map, or looks for it there.
     fn track(&mut self, view: &View) -> FrameResult {
         if self.map.n_keyframes() == 0 {
-            return FrameResult::nowhere(TrackingOutcome::Lost(LostReason::NotRelocalised {
+            return FrameResult::nowhere(TrackingOutcome::Lost(LostReason::NotRelocalized {
                 n_candidates: 0,
             }));
         }
@@ -171,7 +171,7 @@ impl Pipeline {
     /// Notes that there is a map to follow.
     fn follow_map(&mut self) {
         self.submaps.found();
-        if self.initialiser.take().is_some() {
+        if self.initializer.take().is_some() {
             self.submaps.begun();
             self.choose_n_features();
         }
@@ -193,7 +193,7 @@ impl Pipeline {
 
     /// A frame has no pose: in time its submap is given up, and a new one begun in its place or beside it.
     fn lose(&mut self, view: &View, was_followed: bool) {
-        if !self.mapping_enabled || self.initialiser.is_some() {
+        if !self.mapping_enabled || self.initializer.is_some() {
             return;
         }
         match self.submaps.lost(view.timestamp_ns, was_followed, &self.map) {
@@ -206,7 +206,7 @@ impl Pipeline {
         }
         self.tracker.forget();
         self.submaps.begin_next();
-        self.initialiser = Some(Initialiser::new(&self.config));
+        self.initializer = Some(Initializer::new(&self.config));
         self.choose_n_features();
     }
 
@@ -253,7 +253,7 @@ impl Pipeline {
         let new = NewKeyframe {
             place,
             keyframe: frame.to_keyframe(id, Some(frame.reference)),
-            sightings: self.tracker.take_sightings(),
+            visibility: self.tracker.take_visibility_counts(),
             frames: self.trajectory.take(),
         };
         self.mapping.add_keyframe(new, !self.lossless);

@@ -8,7 +8,7 @@ use vision::lines::LineTrackingStatistics;
 
 /// Why there is no map yet. Its text is written for the person who holds the camera.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum InitialisationWait {
+pub enum InitializationWait {
     /// The first usable frame was kept; motion is needed.
     #[error("first view kept; move the camera sideways")]
     FirstView,
@@ -97,7 +97,7 @@ pub enum LostReason {
     },
     /// No place in the map looks like the image.
     #[error("looking for a known place: {n_candidates} candidates, none fits")]
-    NotRelocalised {
+    NotRelocalized {
         /// Places that were tried.
         n_candidates: usize,
     },
@@ -129,10 +129,10 @@ impl fmt::Display for PoseUncertainty {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TrackingOutcome {
     /// There is no map yet.
-    Initialising(InitialisationWait),
+    Initialising(InitializationWait),
     /// The pose is good.
     Tracked,
-    /// The pose is poorly determined: no key frame may rest on it.
+    /// The pose is poorly determined: no keyframe may rest on it.
     Weak {
         /// Landmarks that agree with the pose.
         n_inliers: usize,
@@ -176,11 +176,11 @@ impl TrackingOutcome {
 pub enum MapEvent {
     /// A loop within a submap was closed.
     LoopClosed {
-        /// The key frame that shows the place again.
+        /// The keyframe that shows the place again.
         keyframe: KeyframeId,
-        /// The key frame that showed it before.
+        /// The keyframe that showed it before.
         matched: KeyframeId,
-        /// Points of the place found in the key frame.
+        /// Points of the place found in the keyframe.
         n_matches: usize,
         /// Scale of the place as it was first mapped, over that at which it was mapped again: the drift of
         /// the scale.
@@ -188,15 +188,15 @@ pub enum MapEvent {
     },
     /// Two submaps became one.
     SubmapsMerged {
-        /// The key frame that shows the place.
+        /// The keyframe that shows the place.
         keyframe: KeyframeId,
-        /// The key frame of the other submap that shows it.
+        /// The keyframe of the other submap that shows it.
         matched: KeyframeId,
         /// The submap that is part of the other one now.
-        gone: SubmapId,
+        absorbed: SubmapId,
         /// The submap whose frame of reference remains.
-        kept: SubmapId,
-        /// Points of the place found in the key frame.
+        surviving: SubmapId,
+        /// Points of the place found in the keyframe.
         n_matches: usize,
     },
     /// The camera differs from its calibration by this much, and the map was adjusted to it.
@@ -213,7 +213,7 @@ pub enum MapEvent {
 }
 
 impl MapEvent {
-    /// The key frame that shows the place again, and the one that showed it before, if it is about a place.
+    /// The keyframe that shows the place again, and the one that showed it before, if it is about a place.
     pub fn keyframes(&self) -> Option<(KeyframeId, KeyframeId)> {
         match self {
             Self::LoopClosed { keyframe, matched, .. } | Self::SubmapsMerged { keyframe, matched, .. } => {
@@ -234,7 +234,7 @@ impl MapEvent {
     /// The submap that became part of another one, and that one.
     pub fn submaps(&self) -> Option<(SubmapId, SubmapId)> {
         match self {
-            Self::SubmapsMerged { gone, kept, .. } => Some((*gone, *kept)),
+            Self::SubmapsMerged { absorbed, surviving, .. } => Some((*absorbed, *surviving)),
             _ => None,
         }
     }
@@ -281,13 +281,13 @@ pub struct FrameReport {
     pub n_inlier_points: usize,
     /// Lines that agree with the pose.
     pub n_inlier_lines: usize,
-    /// The frame became a key frame.
+    /// The frame became a keyframe.
     pub is_keyframe: bool,
-    /// The pose was found by recognising the place, not by following the motion.
-    pub relocalised: bool,
-    /// Places that were tried to find the camera, if it had to be looked for; the stage `relocalise` tells
+    /// The pose was found by recognizing the place, not by following the motion.
+    pub relocalized: bool,
+    /// Places that were tried to find the camera, if it had to be looked for; the stage `relocalize` tells
     /// how long.
-    pub n_relocalisation_candidates: Option<usize>,
+    pub n_relocalization_candidates: Option<usize>,
     /// Corrections of the map that took effect with this frame.
     pub map_events: Vec<MapEvent>,
     /// Wall times by stage in the order they ran; empty without a clock.
@@ -329,17 +329,17 @@ impl LineVerdict {
     }
 }
 
-/// What mapping made of a track of segments at a key frame. One refused is judged again when the track has
+/// What mapping made of a track of segments at a keyframe. One refused is judged again when the track has
 /// grown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineJudgement {
-    /// The client's number of the frame whose key frame brought the newest view.
+    /// The client's number of the frame whose keyframe brought the newest view.
     pub sequence: u64,
     /// The submap it is in.
     pub submap: SubmapId,
     /// Number of the track.
     pub track: u64,
-    /// Ends of the candidate in the key frame's camera, map units: the world may be corrected later.
+    /// Ends of the candidate in the keyframe's camera, map units: the world may be corrected later.
     pub endpoints_in_camera: [Vector3<f64>; 2],
     /// What came of it.
     pub verdict: LineVerdict,

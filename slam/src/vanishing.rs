@@ -29,8 +29,8 @@ impl VanishingFinder {
         self.planes.clear();
         self.segment_indices.clear();
         for (idx, segment) in features.lines.iter().enumerate() {
-            let [start, end] = [segment.start, segment.end].map(|pixel| features.pinhole.normalised(&pixel));
-            if let Some(plane) = SegmentPlane::from_normalised(&start, &end, segment.sigma_px / focal_px) {
+            let [start, end] = [segment.start, segment.end].map(|pixel| features.pinhole.normalized(&pixel));
+            if let Some(plane) = SegmentPlane::from_normalized(&start, &end, segment.sigma_px / focal_px) {
                 self.planes.push(plane);
                 self.segment_indices.push(idx as u32);
             }

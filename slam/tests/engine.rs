@@ -2,7 +2,7 @@
 
 use geometry::Pose;
 use slam::map::FrameState;
-use slam::{Frame, FrameError, FrameReport, InitialisationWait, Map, ResumeState};
+use slam::{Frame, FrameError, FrameReport, InitializationWait, Map, ResumeState};
 use slam::{SlamConfig, Threading, TrackingOutcome};
 use std::collections::BTreeMap;
 use synthetic::{Preset, Sequence};
@@ -50,7 +50,7 @@ fn a_rich_room_is_tracked_within_one_per_cent_of_the_path() {
     assert!(error < 0.01, "error of {:.3} % of the path", 100.0 * error);
     assert!(
         map.n_keyframes() >= 5 && map.n_points() >= 300,
-        "{} key frames, {} points",
+        "{} keyframes, {} points",
         map.n_keyframes(),
         map.n_points()
     );
@@ -89,7 +89,7 @@ fn a_resumed_session_finds_its_place_and_goes_on_in_the_same_frame_of_reference(
     let reports: Vec<FrameReport> =
         (90..130).map(|index| show(&mut resumed, index as u64, image(&sequence, index))).collect();
     let first_found =
-        reports.iter().position(|report| report.relocalised).expect("the session finds its place");
+        reports.iter().position(|report| report.relocalized).expect("the session finds its place");
     assert!(first_found < 10, "found only after {first_found} frames");
     resumed.finish();
     let trajectory = resumed.trajectory();
@@ -157,7 +157,7 @@ fn a_camera_at_rest_waits_and_says_why() {
     let outcomes: Vec<TrackingOutcome> =
         (0..5).map(|number| show(&mut session, number, image(&sequence, 0)).outcome).collect();
     let waits = |outcome: &TrackingOutcome| {
-        matches!(outcome, TrackingOutcome::Initialising(InitialisationWait::TooLittleParallax { .. }))
+        matches!(outcome, TrackingOutcome::Initialising(InitializationWait::TooLittleParallax { .. }))
     };
     assert!(outcomes[1..].iter().all(waits), "{outcomes:?}");
 }

@@ -10,7 +10,7 @@ use synthetic::{PathKind, Preset, Sequence, SequenceConfig};
 use testkit::{FRAME_INTERVAL_NS, Session, gray_image, inline, line_error};
 use vision::GrayImage;
 
-/// Bound on one frame, mapping included, in an unoptimised build on a busy machine; the usual is a tenth of
+/// Bound on one frame, mapping included, in an unoptimized build on a busy machine; the usual is a tenth of
 /// it.
 const MAX_FRAME_TIME: Duration = Duration::from_secs(5);
 
@@ -43,7 +43,7 @@ fn rendered(sequence: &Sequence, index: usize) -> GrayImage {
     gray_image(sequence.frame(index).image)
 }
 
-/// The grey level of a pixel of an image moved by `shift` pixels.
+/// The gray level of a pixel of an image moved by `shift` pixels.
 type Pattern = fn(x: u32, y: u32, shift: u32) -> u8;
 
 const PATTERNS: [(&str, Pattern); 5] = [
@@ -110,12 +110,12 @@ fn edges_along_the_motion_are_not_given_depths_they_do_not_have() {
     session.show_frames(&sequence, (0..40).map(|index| 2 * index));
     let map = session.finish();
     assert_finite(&map);
-    // Positions on a straight line leave a similarity open: the first key frame's attitude fixes it.
+    // Positions on a straight line leave a similarity open: the first keyframe's attitude fixes it.
     let keyframes: Vec<_> = map.keyframes().collect();
     let [first, .., last] = keyframes.as_slice() else { panic!("no map") };
     let truly = |keyframe: &Keyframe| sequence.camera_from_world(keyframe.sequence as usize);
-    let scale = (truly(last).centre() - truly(first).centre()).norm()
-        / (last.camera_from_world.centre() - first.camera_from_world.centre()).norm();
+    let scale = (truly(last).center() - truly(first).center()).norm()
+        / (last.camera_from_world.center() - first.camera_from_world.center()).norm();
     let world_from_first = truly(first).inverse();
     let to_truth = |point| world_from_first.transform(&(first.camera_from_world.transform(&point) * scale));
     let (mut n_along, mut n_wrong) = (0, 0);

@@ -14,11 +14,11 @@ use testkit::{Session, gray_image, inline, truth_from_map};
 const N_FRAMES: usize = 80;
 /// Farther from every true direction than this, a primitive is spurious.
 const MAX_PRIMITIVE_ERROR_DEG: f64 = 1.5;
-/// True segments of a direction that key frames must show for it to be expected.
+/// True segments of a direction that keyframes must show for it to be expected.
 const MIN_SEGMENTS: usize = 8;
-/// How many key frames must.
+/// How many keyframes must.
 const MIN_KEYFRAMES: usize = 5;
-/// Shorter than this, pixels, or fainter, grey levels, a segment does not count.
+/// Shorter than this, pixels, or fainter, gray levels, a segment does not count.
 const MIN_LENGTH_PX: f64 = 40.0;
 const MIN_CONTRAST: f64 = 12.0;
 
@@ -30,7 +30,7 @@ fn track(preset: Preset, seed: u64, step: usize, n_frames: usize) -> (Sequence, 
         session.show(index as u64, sequence.timestamp_ns(index), gray_image(sequence.frame(index).image));
     }
     let map = session.finish();
-    assert!(map.n_keyframes() >= 5, "{} {seed}: only {} key frames", preset.name(), map.n_keyframes());
+    assert!(map.n_keyframes() >= 5, "{} {seed}: only {} keyframes", preset.name(), map.n_keyframes());
     (sequence, map)
 }
 
@@ -49,11 +49,11 @@ fn in_true_world(sequence: &Sequence, keyframe: &Keyframe, vanishing: &Vanishing
 /// What a map says of the directions of its world.
 #[derive(Debug, Default)]
 struct Comparison {
-    /// Of each key frame's vanishing points that belong to a primitive, degrees.
+    /// Of each keyframe's vanishing points that belong to a primitive, degrees.
     vanishing_errors_deg: Vec<f64>,
     /// Primitives of each true direction.
     n_primitives: Vec<usize>,
-    /// In how many key frames a true direction could be seen well.
+    /// In how many keyframes a true direction could be seen well.
     n_showing: Vec<usize>,
     n_spurious: usize,
 }

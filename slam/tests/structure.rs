@@ -68,7 +68,7 @@ fn the_directions_of_a_room_become_one_primitive_each() {
             truths.iter().enumerate().map(|(idx, truth)| (truth.angle(&direction).to_degrees(), idx));
         let (angle, idx) = nearest.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
         println!(
-            "primitive {} of {} key frames: {angle:.2} degrees off",
+            "primitive {} of {} keyframes: {angle:.2} degrees off",
             primitive.id,
             primitive.observations.len()
         );

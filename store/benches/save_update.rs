@@ -1,5 +1,5 @@
-//! How long a typical key frame takes to store: one new key frame of 1000 keypoints, 300 new points, 2000
-//! points and 20 key frames moved by bundle adjustment, 5 frames of trajectory. `cargo bench -p store`.
+//! How long a typical keyframe takes to store: one new keyframe of 1000 keypoints, 300 new points, 2000
+//! points and 20 keyframes moved by bundle adjustment, 5 frames of trajectory. `cargo bench -p store`.
 
 use futures_util::TryStreamExt;
 use slam::map::{MapChanges, MapParts, SubmapId};
@@ -42,7 +42,7 @@ async fn main() {
         let n_rows = N_MOVED_POINTS as u64 + N_NEW_POINTS + N_MOVED_KEYFRAMES as u64 + 7;
         let median = times[times.len() / 2];
         println!(
-            "{durability:?}: key-frame update of {n_rows} rows: median {:.2} ms ({:.2} us a row), slowest {:.2} ms; \
+            "{durability:?}: keyframe update of {n_rows} rows: median {:.2} ms ({:.2} us a row), slowest {:.2} ms; \
              CPU {:.2} ms each",
             ms(median),
             1e3 * ms(median) / n_rows as f64,
@@ -53,7 +53,7 @@ async fn main() {
     }
 }
 
-/// The map with one more key frame, after bundle adjustment moved what is near it.
+/// The map with one more keyframe, after bundle adjustment moved what is near it.
 fn next_update(parts: &mut MapParts, round: u64) -> MapUpdate {
     let mut numbers = Numbers(1000 + round);
     let id = kf(parts.last_ids.keyframe + 1);
@@ -70,7 +70,7 @@ fn next_update(parts: &mut MapParts, round: u64) -> MapUpdate {
     parts.keyframes.push(keyframe);
     parts.last_ids.keyframe += 1;
     let mut changes = MapChanges::default();
-    // The newest key frames, where there is room for more points.
+    // The newest keyframes, where there is room for more points.
     let near = parts.keyframes.len() - 5;
     for _ in 0..N_NEW_POINTS {
         parts.last_ids.point += 1;
@@ -96,7 +96,7 @@ async fn read_back(store: &Store) {
     let begin = Instant::now();
     let loaded = store.load_session("s", &SlamConfig::default()).await.unwrap().resume.map;
     let (n_keyframes, n_points) = (loaded.keyframes.len(), loaded.points.len());
-    println!("  load {n_keyframes} key frames and {n_points} points: {:.1} ms", ms(begin.elapsed()));
+    println!("  load {n_keyframes} keyframes and {n_points} points: {:.1} ms", ms(begin.elapsed()));
     let begin = Instant::now();
     let near = PointQuery { near: Some((nalgebra::Vector3::zeros(), 1.0)), ..PointQuery::default() };
     let found: Vec<_> = store.points("s", near).await.unwrap().try_collect().await.unwrap();

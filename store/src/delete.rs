@@ -67,7 +67,7 @@ impl Store {
         for step in STEPS {
             while self.delete_some(step, number).await? > 0 {}
         }
-        // The key frames and primitives go with the session's row.
+        // The keyframes and primitives go with the session's row.
         let mut transaction = self.begin_write().await?;
         delete_row(&mut transaction, number).await?;
         transaction.commit().await

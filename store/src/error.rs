@@ -44,8 +44,8 @@ pub enum StoreError {
     /// A number of the map is not finite; nothing of the update was stored.
     #[error("{0} has a number that is not finite")]
     NotFinite(String),
-    /// The stored key frames were measured with other settings than those they should be taken up with.
-    #[error("the session's key frames were made with other settings: {0}")]
+    /// The stored keyframes were measured with other settings than those they should be taken up with.
+    #[error("the session's keyframes were made with other settings: {0}")]
     OtherSettings(String),
     /// The disk, or the room allowed to the database, is used up. The last commit is intact and the update
     /// can be tried again.

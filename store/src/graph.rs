@@ -1,4 +1,4 @@
-//! Which key frames see the same landmarks.
+//! Which keyframes see the same landmarks.
 
 use crate::blob::decode_observations;
 use crate::load::blocking;
@@ -8,7 +8,7 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{AssertSqlSafe, Row};
 use std::collections::BTreeMap;
 
-/// What two key frames both see.
+/// What two keyframes both see.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SharedLandmarks {
     /// Points seen by both.
@@ -17,14 +17,14 @@ pub struct SharedLandmarks {
     pub n_lines: u32,
 }
 
-/// Pairs of key frames, the lower id first, that see something in common.
+/// Pairs of keyframes, the lower id first, that see something in common.
 pub type Covisibility = BTreeMap<(KeyframeId, KeyframeId), SharedLandmarks>;
 
 /// Landmarks whose observations are counted at a time, so that no other task waits for long.
 const LANDMARKS_PER_STEP: i64 = 4096;
 
 impl MapSnapshot {
-    /// Counts what each pair of key frames sees in common. Holds the pairs, some twenty for each key frame.
+    /// Counts what each pair of keyframes sees in common. Holds the pairs, some twenty for each keyframe.
     ///
     /// # Errors
     /// If the database cannot be read.
@@ -70,7 +70,7 @@ fn add_pairs(
     observations: &[Observation],
     count: fn(&mut SharedLandmarks) -> &mut u32,
 ) {
-    // Observations are in the order of the key frames' ids, so the lower one comes first.
+    // Observations are in the order of the keyframes' ids, so the lower one comes first.
     for (idx, first) in observations.iter().enumerate() {
         for second in &observations[idx + 1..] {
             *count(pairs.entry((first.keyframe, second.keyframe)).or_default()) += 1;

@@ -1,4 +1,4 @@
-//! Key frames without their features, and their images.
+//! Keyframes without their features, and their images.
 
 use crate::number::{from_column, from_column_u32, keyframe_column, keyframe_id, submap_id};
 use crate::pose::read_pose;
@@ -9,7 +9,7 @@ use slam::map::{KeyframeId, SubmapId};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 
-/// A stored key frame.
+/// A stored keyframe.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KeyframeRecord {
     /// Identity within the session.
@@ -22,7 +22,7 @@ pub struct KeyframeRecord {
     pub timestamp_ns: i64,
     /// Pose; lengths in map units.
     pub camera_from_world: Pose,
-    /// The key frame it hangs on in the spanning tree.
+    /// The keyframe it hangs on in the spanning tree.
     pub parent: Option<KeyframeId>,
     /// Keypoints measured in it.
     pub n_keypoints: u32,
@@ -36,7 +36,7 @@ pub struct KeyframeRecord {
     pub has_image: bool,
 }
 
-/// The image of a key frame as it was received.
+/// The image of a keyframe as it was received.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StoredImage {
     /// What the bytes are, such as `image/png`.
@@ -51,7 +51,7 @@ const SELECT_KEYFRAMES: &str = "SELECT id, submap, sequence, timestamp_ns, qx, q
      FROM keyframes k WHERE session = ?1 AND id BETWEEN ?2 AND ?3 ORDER BY id LIMIT ?4";
 
 impl Store {
-    /// Up to `page_size` key frames with ids above the given one.
+    /// Up to `page_size` keyframes with ids above the given one.
     ///
     /// # Errors
     /// [`StoreError::SessionNotFound`].
@@ -66,7 +66,7 @@ impl Store {
         Ok(Page::of(keyframes, page_size, |last| last.id))
     }
 
-    /// One key frame; `None` if the session has none with this id, or no longer.
+    /// One keyframe; `None` if the session has none with this id, or no longer.
     ///
     /// # Errors
     /// [`StoreError::SessionNotFound`].
@@ -79,7 +79,7 @@ impl Store {
         Ok(self.select_keyframes(session, id, id, 1).await?.pop())
     }
 
-    /// The image of a key frame; `None` if it was not kept.
+    /// The image of a keyframe; `None` if it was not kept.
     ///
     /// # Errors
     /// [`StoreError::SessionNotFound`].
@@ -112,7 +112,7 @@ impl Store {
     }
 }
 
-/// Key frames with ids from `first` to `last`, at most `limit`.
+/// Keyframes with ids from `first` to `last`, at most `limit`.
 pub(crate) async fn select_keyframes(
     connection: &mut SqliteConnection,
     session: i64,

@@ -1,4 +1,4 @@
-//! Where maps are kept: sessions, key frames, points, lines, global primitives and trajectories in one SQLite
+//! Where maps are kept: sessions, keyframes, points, lines, global primitives and trajectories in one SQLite
 //! file.
 //!
 //! Start at [`Store`]. It takes and returns the types of `slam` and `geometry`, and nothing outside this
@@ -70,7 +70,7 @@ mod session;
 mod snapshot;
 mod trajectory;
 
-pub use check::Problem;
+pub use check::Finding;
 pub use digest::{Digest, TableDigest};
 pub use error::StoreError;
 pub use graph::{Covisibility, SharedLandmarks};

@@ -5,7 +5,7 @@ use crate::lines::{LINE_COLUMNS, parse_line};
 use crate::number::{from_column, keyframe_id, submap_id};
 use crate::observations::enter_observations;
 use crate::points::{POINT_COLUMNS, parse_point};
-use crate::pose::{read_pose, read_removed, read_unit};
+use crate::pose::{read_local_scale, read_pose, read_removed};
 use crate::primitives::read_primitives;
 use crate::session::parse_session;
 use crate::{SessionRecord, Store, StoreError};
@@ -16,7 +16,7 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{AssertSqlSafe, Row, SqliteConnection};
 use std::sync::Arc;
 
-/// Key frames fetched at a time, some 3 MB of features.
+/// Keyframes fetched at a time, some 3 MB of features.
 const KEYFRAMES_PER_STEP: i64 = 64;
 
 /// Points or lines fetched at a time.
@@ -123,14 +123,14 @@ async fn read_keyframes(
     }
 }
 
-/// A key frame that sees nothing yet.
+/// A keyframe that sees nothing yet.
 fn parse_keyframe(
     row: &SqliteRow,
     camera: &Camera,
     settings: &FeatureSettings,
 ) -> Result<Keyframe, StoreError> {
     let id = keyframe_id(row.try_get(0)?)?;
-    let corrupt = |what: &dyn std::fmt::Display| StoreError::Corrupt(format!("key frame {id}: {what}"));
+    let corrupt = |what: &dyn std::fmt::Display| StoreError::Corrupt(format!("keyframe {id}: {what}"));
     let blob: Option<&[u8]> = row.try_get(12)?;
     let blob = blob.ok_or_else(|| corrupt(&"it has no features"))?;
     let features = decode_features(blob, camera, settings).map_err(|error| corrupt(&error))?;
@@ -149,7 +149,7 @@ fn parse_keyframe(
         parent.map(keyframe_id).transpose()?,
     );
     keyframe.vanishing = vanishing.unwrap_or_default();
-    keyframe.unit = read_unit(row, 14)?;
+    keyframe.local_scale = read_local_scale(row, 14)?;
     Ok(keyframe)
 }
 

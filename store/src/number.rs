@@ -25,7 +25,7 @@ pub(crate) fn keyframe_id(value: i64) -> Result<KeyframeId, StoreError> {
     u64::try_from(value)
         .ok()
         .and_then(KeyframeId::new)
-        .ok_or_else(|| StoreError::Corrupt(format!("a key frame has the id {value}")))
+        .ok_or_else(|| StoreError::Corrupt(format!("a keyframe has the id {value}")))
 }
 
 pub(crate) fn point_id(value: i64) -> Result<PointId, StoreError> {
@@ -53,7 +53,7 @@ pub(crate) fn submap_id(value: i64) -> Result<SubmapId, StoreError> {
     from_column_u32("a submap", value).map(SubmapId)
 }
 
-/// A key frame's id as a column value.
+/// A keyframe's id as a column value.
 pub(crate) fn keyframe_column(id: KeyframeId) -> Result<i64, StoreError> {
-    to_column("key frame id", id.get())
+    to_column("keyframe id", id.get())
 }

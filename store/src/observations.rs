@@ -1,4 +1,4 @@
-//! Both sides of the observations: landmarks and primitives know who sees them, and key frames are told at
+//! Both sides of the observations: landmarks and primitives know who sees them, and keyframes are told at
 //! load.
 
 use crate::StoreError;
@@ -6,7 +6,7 @@ use slam::Keyframe;
 use slam::map::{KeyframeId, MapParts};
 use std::fmt::Display;
 
-/// Tells the key frames, which are in the order of their ids, what they see.
+/// Tells the keyframes, which are in the order of their ids, what they see.
 pub(crate) fn enter_observations(mut parts: MapParts) -> Result<MapParts, StoreError> {
     let keyframes = &mut parts.keyframes;
     for point in &parts.points {
@@ -54,10 +54,10 @@ fn enter<Id: Copy + Display>(
             Ok(())
         }
         Some(Some(other)) => Err(StoreError::Corrupt(format!(
-            "{thing}s {other} and {id} claim the same {feature} of key frame {keyframe}"
+            "{thing}s {other} and {id} claim the same {feature} of keyframe {keyframe}"
         ))),
         None => Err(StoreError::Corrupt(format!(
-            "{thing} {id} claims {feature} {feature_idx} of key frame {keyframe}, which is not there"
+            "{thing} {id} claims {feature} {feature_idx} of keyframe {keyframe}, which is not there"
         ))),
     }
 }

@@ -103,10 +103,10 @@ impl Drop for WriteTransaction {
     }
 }
 
-/// Bytes in a page of the file. Twice SQLite's default: a key frame's features fill six of them.
+/// Bytes in a page of the file. Twice SQLite's default: a keyframe's features fill six of them.
 const PAGE_BYTES: u32 = 8192;
 
-/// Pages after which the log is folded into the file, 8 MB: a dozen key frames and what they move.
+/// Pages after which the log is folded into the file, 8 MB: a dozen keyframes and what they move.
 const CHECKPOINT_PAGES: u32 = 1000;
 
 /// The log is cut back to this after a long reader made it grow, bytes.

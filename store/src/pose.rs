@@ -1,4 +1,4 @@
-//! Poses as seven columns, and poses of key frames that may have been removed.
+//! Poses as seven columns, and poses of keyframes that may have been removed.
 
 use crate::StoreError;
 use crate::number::{keyframe_id, submap_id};
@@ -46,16 +46,16 @@ pub(crate) fn read_pose(row: &SqliteRow, first: usize) -> Result<Pose, StoreErro
     }
 }
 
-/// Where a key frame is.
+/// Where a keyframe is.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Anchor {
     submap: SubmapId,
     camera_from_world: Pose,
     /// Map units per unit of the offsets of what hangs on it.
-    unit: f64,
+    local_scale: f64,
 }
 
-/// Where every key frame of a session is, and what removed ones hang on: some hundred bytes for each.
+/// Where every keyframe of a session is, and what removed ones hang on: some hundred bytes for each.
 #[derive(Debug, Default)]
 pub(crate) struct PoseBook {
     pub(crate) keyframes: BTreeMap<KeyframeId, Anchor>,
@@ -83,7 +83,7 @@ impl PoseBook {
         Ok(Self { keyframes, removed })
     }
 
-    /// The submap and the pose, `camera_from_world`, of a camera that hangs on a key frame that is or was in
+    /// The submap and the pose, `camera_from_world`, of a camera that hangs on a keyframe that is or was in
     /// the map; `None` if that hangs on nothing.
     pub fn locate(&self, reference: KeyframeId, camera_from_reference: &Pose) -> Option<(SubmapId, Pose)> {
         let mut camera_from_current = *camera_from_reference;
@@ -91,7 +91,7 @@ impl PoseBook {
         // The bound ends the walk where damaged rows form a ring.
         for _ in 0..=self.removed.len() {
             if let Some(anchor) = self.keyframes.get(&current) {
-                camera_from_current.translation *= anchor.unit;
+                camera_from_current.translation *= anchor.local_scale;
                 return Some((anchor.submap, camera_from_current * anchor.camera_from_world));
             }
             let removed = self.removed.get(&current)?;
@@ -106,21 +106,21 @@ fn read_anchor(row: &SqliteRow) -> Result<Anchor, StoreError> {
     Ok(Anchor {
         submap: submap_id(row.try_get(8)?)?,
         camera_from_world: read_pose(row, 1)?,
-        unit: read_unit(row, 9)?,
+        local_scale: read_local_scale(row, 9)?,
     })
 }
 
-/// A key frame's unit, which is finite and positive.
-pub(crate) fn read_unit(row: &SqliteRow, column: usize) -> Result<f64, StoreError> {
-    let unit: f64 = row.try_get(column)?;
-    if unit.is_finite() && unit > 0.0 {
-        Ok(unit)
+/// A keyframe's unit, which is finite and positive.
+pub(crate) fn read_local_scale(row: &SqliteRow, column: usize) -> Result<f64, StoreError> {
+    let local_scale: f64 = row.try_get(column)?;
+    if local_scale.is_finite() && local_scale > 0.0 {
+        Ok(local_scale)
     } else {
-        Err(StoreError::Corrupt("a key frame's unit is not a positive number".into()))
+        Err(StoreError::Corrupt("a keyframe's unit is not a positive number".into()))
     }
 }
 
-/// The removed key frames of a session in the order of their ids.
+/// The removed keyframes of a session in the order of their ids.
 pub(crate) async fn read_removed(
     connection: &mut SqliteConnection,
     session: i64,

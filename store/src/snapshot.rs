@@ -11,7 +11,7 @@ use crate::{KeyframeRecord, PointQuery, SessionRecord, Store, StoreError};
 use slam::map::{GlobalPrimitive, KeyframeId, LineId, LineLandmark, PointId, PointLandmark, SubmapId};
 use sqlx::{AssertSqlSafe, Sqlite, SqliteConnection, Transaction};
 
-/// Points or key frames read at a time: a statement takes about a millisecond.
+/// Points or keyframes read at a time: a statement takes about a millisecond.
 const ROWS_PER_STEP: usize = 512;
 
 /// A session as of one commit, read in steps. While it lives the log cannot be folded into the file, so read
@@ -96,7 +96,7 @@ impl MapSnapshot {
         Ok(cursor.step(&mut self.transaction).await?.unwrap_or_default())
     }
 
-    /// The next key frames with ids above the given one; none at the end.
+    /// The next keyframes with ids above the given one; none at the end.
     ///
     /// # Errors
     /// If the database cannot be read.
@@ -116,10 +116,10 @@ impl MapSnapshot {
         read_primitives(&mut self.transaction, self.session).await
     }
 
-    /// Where a key frame's keypoints are, pixels of the working image with the lens's distortion.
+    /// Where a keyframe's keypoints are, pixels of the working image with the lens's distortion.
     ///
     /// # Errors
-    /// If the database cannot be read or the key frame's features are damaged.
+    /// If the database cannot be read or the keyframe's features are damaged.
     pub async fn keypoints(&mut self, id: KeyframeId) -> Result<Vec<[f32; 2]>, StoreError> {
         let features: Option<Vec<u8>> =
             sqlx::query_scalar("SELECT features FROM keyframe_features WHERE session = ? AND keyframe = ?")
@@ -128,7 +128,7 @@ impl MapSnapshot {
                 .fetch_optional(&mut *self.transaction)
                 .await?;
         let features =
-            features.ok_or_else(|| StoreError::Corrupt(format!("key frame {id} has no features")))?;
-        positions(&features).map_err(|error| StoreError::Corrupt(format!("key frame {id}: {error}")))
+            features.ok_or_else(|| StoreError::Corrupt(format!("keyframe {id} has no features")))?;
+        positions(&features).map_err(|error| StoreError::Corrupt(format!("keyframe {id}: {error}")))
     }
 }

@@ -17,7 +17,7 @@ pub enum TrajectoryKind {
     /// Every frame that has a pose.
     #[default]
     Frames,
-    /// The key frames in the map.
+    /// The keyframes in the map.
     Keyframes,
 }
 
@@ -53,11 +53,11 @@ pub struct TrajectoryPose {
     pub timestamp_ns: i64,
     /// The submap whose frame of reference the pose is in.
     pub submap: SubmapId,
-    /// How tracking ended; of key frames, always tracked.
+    /// How tracking ended; of keyframes, always tracked.
     pub state: FrameState,
     /// The pose was found after the frame was answered.
     pub backfilled: bool,
-    /// The key frame the pose hangs on; for key frames, itself.
+    /// The keyframe the pose hangs on; for keyframes, itself.
     pub reference: KeyframeId,
     /// Position and orientation of the camera, map units.
     pub world_from_camera: Pose,
@@ -70,8 +70,8 @@ const FRAMES_PER_STEP: i64 = 512;
 impl Store {
     /// The poses of a session in the order of their time, as the map stands now.
     ///
-    /// Poses of key frames are read at once, so that the whole trajectory belongs to one state of the map;
-    /// frames are read as the stream goes on, up to the last one there is now. Frames whose key frames were
+    /// Poses of keyframes are read at once, so that the whole trajectory belongs to one state of the map;
+    /// frames are read as the stream goes on, up to the last one there is now. Frames whose keyframes were
     /// dropped with a whole submap have no place any more and are left out.
     ///
     /// # Errors
@@ -133,7 +133,7 @@ const SELECT_FRAMES: &str = "SELECT sequence, timestamp_ns, state, backfilled, r
      WHERE session = ?1 AND sequence >= ?2 AND sequence <= ?3 AND reference IS NOT NULL \
      AND timestamp_ns BETWEEN ?4 AND ?5 ORDER BY sequence LIMIT ?6";
 
-/// Key frames are few: those of the whole session are no more than a few steps' worth of frames. Times and
+/// Keyframes are few: those of the whole session are no more than a few steps' worth of frames. Times and
 /// numbers of frames rise together, so one order is the other. State 2 is tracked.
 const SELECT_KEYFRAMES: &str = "SELECT sequence, timestamp_ns, 2, 0, id, qx, qy, qz, qw, tx, ty, tz \
      FROM keyframes WHERE session = ?1 AND sequence >= ?2 AND sequence <= ?3 \
@@ -166,7 +166,7 @@ impl Cursor {
         poses.collect::<Result<Vec<_>, _>>().map(Some)
     }
 
-    /// The pose of a row, where its key frame has a place.
+    /// The pose of a row, where its keyframe has a place.
     fn resolve(&self, row: &SqliteRow) -> Result<Option<TrajectoryPose>, StoreError> {
         let reference = keyframe_id(row.try_get(4)?)?;
         let camera_from_reference = match self.kind {
@@ -176,7 +176,7 @@ impl Cursor {
         let Some((submap, camera_from_world)) = self.book.locate(reference, &camera_from_reference) else {
             return Ok(None);
         };
-        // Submaps merge, so which one a pose is in is known by its key frame alone.
+        // Submaps merge, so which one a pose is in is known by its keyframe alone.
         if self.submap.is_some_and(|wanted| wanted != submap) {
             return Ok(None);
         }

@@ -1,6 +1,6 @@
-//! The grey image that the renderer returns.
+//! The gray image that the renderer returns.
 
-/// An 8-bit grey image, row by row from the top left.
+/// An 8-bit gray image, row by row from the top left.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GrayImage {
     width: u32,
@@ -38,7 +38,7 @@ impl GrayImage {
         self.pixels
     }
 
-    /// Grey level at column `x`, row `y`.
+    /// Gray level at column `x`, row `y`.
     ///
     /// # Panics
     /// Outside of the image.
@@ -47,7 +47,7 @@ impl GrayImage {
         self.pixels[(y * self.width + x) as usize]
     }
 
-    /// Bilinear grey level at a real position; `None` outside of the pixel centres.
+    /// Bilinear gray level at a real position; `None` outside of the pixel centers.
     pub fn sample(&self, x: f64, y: f64) -> Option<f64> {
         let inside =
             x >= 0.0 && y >= 0.0 && x < f64::from(self.width) - 1.0 && y < f64::from(self.height) - 1.0;

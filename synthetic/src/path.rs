@@ -17,7 +17,7 @@ use crate::spline::UniformSpline;
 /// The plan of a path. Heights are above the floor.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PathKind {
-    /// An ellipse around `middle`, looking across it: sideways motion throughout, which suits initialisation.
+    /// An ellipse around `middle`, looking across it: sideways motion throughout, which suits initialization.
     Orbit {
         /// Middle of the ellipse.
         middle: Vector2<f64>,

@@ -92,7 +92,7 @@ impl PointCloudWorld {
     }
 
     /// `camera_from_world` moved by random rotations and displacements with the given standard deviations: a
-    /// start for optimisation.
+    /// start for optimization.
     pub fn disturbed_cameras(&self, rotation_rad: f64, translation: f64, seed: u64) -> Vec<Pose> {
         let mut rng = stream(seed, "disturbed cameras");
         let mut noise = |sigma: f64| Vector3::from_fn(|_, _| sigma * normal(&mut rng));

@@ -9,7 +9,7 @@ pub(crate) fn stream(seed: u64, purpose: &str) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(mix(seed, hash_name(purpose)))
 }
 
-/// Combines two numbers into one that looks unrelated to both (the finaliser of SplitMix64).
+/// Combines two numbers into one that looks unrelated to both (the finalizer of SplitMix64).
 pub(crate) fn mix(a: u64, b: u64) -> u64 {
     let mut z = a.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(b).wrapping_add(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

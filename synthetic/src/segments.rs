@@ -28,13 +28,13 @@ pub struct VisibleSegment {
     pub ends_in_world: [Vector3<f64>; 2],
     /// Ends of the part in the (distorted) image.
     pub ends_px: [Vector2<f64>; 2],
-    /// Mean absolute difference of grey levels across it, before noise and exposure. Low values mean that the
+    /// Mean absolute difference of gray levels across it, before noise and exposure. Low values mean that the
     /// edge is there, but cannot be seen.
     pub contrast: f64,
 }
 
 pub(crate) fn visible_segments(renderer: &Renderer, camera_from_world: &Pose) -> Vec<VisibleSegment> {
-    let view = View { renderer, camera_from_world, centre: camera_from_world.centre() };
+    let view = View { renderer, camera_from_world, center: camera_from_world.center() };
     let segments = renderer.world().segments().iter().enumerate();
     segments.flat_map(|(index, segment)| view.parts(index, segment)).collect()
 }
@@ -42,7 +42,7 @@ pub(crate) fn visible_segments(renderer: &Renderer, camera_from_world: &Pose) ->
 struct View<'a> {
     renderer: &'a Renderer,
     camera_from_world: &'a Pose,
-    centre: Vector3<f64>,
+    center: Vector3<f64>,
 }
 
 impl View<'_> {
@@ -90,16 +90,16 @@ impl View<'_> {
         let differences: Vec<f64> = (1..=SAMPLES)
             .filter_map(|k| {
                 let pixel = self.project(&ends[0].lerp(&ends[1], k as f64 / (SAMPLES + 1) as f64))?;
-                Some((self.grey(&(pixel + across))? - self.grey(&(pixel - across))?).abs())
+                Some((self.gray(&(pixel + across))? - self.gray(&(pixel - across))?).abs())
             })
             .collect();
         differences.iter().sum::<f64>() / differences.len().max(1) as f64
     }
 
-    fn grey(&self, pixel: &Vector2<f64>) -> Option<f64> {
+    fn gray(&self, pixel: &Vector2<f64>) -> Option<f64> {
         let bearing = self.renderer.camera().unproject(pixel)?;
         let ray = self.camera_from_world.rotation.inverse() * bearing;
-        Some(self.renderer.surface_grey(&self.renderer.world().cast_ray(&self.centre, &ray)?))
+        Some(self.renderer.surface_gray(&self.renderer.world().cast_ray(&self.center, &ray)?))
     }
 
     /// Where a world point is in the image, if inside.
@@ -110,6 +110,6 @@ impl View<'_> {
 
     fn sees(&self, point: &Vector3<f64>) -> bool {
         self.project(point).is_some()
-            && self.renderer.world().is_visible_between(&self.centre, point, TOUCH_DISTANCE)
+            && self.renderer.world().is_visible_between(&self.center, point, TOUCH_DISTANCE)
     }
 }

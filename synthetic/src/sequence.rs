@@ -342,7 +342,7 @@ impl Sequence {
         (0..self.len).map(|i| (self.timestamp_ns(i), self.camera_from_world(i).inverse())).collect()
     }
 
-    /// What is seen at `pixel` of frame `i`: the distance is along the ray, from the camera centre.
+    /// What is seen at `pixel` of frame `i`: the distance is along the ray, from the camera center.
     pub fn cast_pixel(&self, i: usize, pixel: &Vector2<f64>) -> Option<RayHit> {
         let world_from_camera = self.camera_from_world(i).inverse();
         let bearing = self.camera().unproject(pixel)?;
@@ -360,7 +360,7 @@ impl Sequence {
         let pose = self.camera_from_world(i);
         let pixel = self.camera().project(&pose.transform(point_in_world))?;
         let visible = self.camera().contains(&pixel)
-            && self.world().is_visible_between(&pose.centre(), point_in_world, segments::TOUCH_DISTANCE);
+            && self.world().is_visible_between(&pose.center(), point_in_world, segments::TOUCH_DISTANCE);
         visible.then_some(pixel)
     }
 

@@ -19,12 +19,12 @@ fn paths_of_presets_keep_clear_and_within_limits() {
             for i in 0..n {
                 let (now, next) =
                     (path.camera_from_world(i as f64 * dt), path.camera_from_world((i + 1) as f64 * dt));
-                let speed = (next.centre() - now.centre()).norm() / dt;
+                let speed = (next.center() - now.center()).norm() / dt;
                 let rotation_deg = so3::angle_between(&now.rotation, &next.rotation).to_degrees() / dt;
                 assert!(speed < 1.001 * config.path.limits.speed, "{name}: {speed}");
                 assert!(rotation_deg < 1.001 * config.path.limits.rotation_deg, "{name}: {rotation_deg}");
                 if i % 25 == 0 {
-                    let clearance = world.clearance(&now.centre());
+                    let clearance = world.clearance(&now.center());
                     assert!(clearance > 0.25, "{name}, seed {seed}, {} s: {clearance}", i as f64 * dt);
                 }
             }
@@ -38,7 +38,7 @@ fn acceleration_is_continuous() {
     let path = Path::new(&config.path);
     let h = 1e-3;
     let acceleration = |t: f64| {
-        let at = |t| path.camera_from_world(t).centre();
+        let at = |t| path.camera_from_world(t).center();
         (at(t + h) - 2.0 * at(t) + at(t - h)) / (h * h)
     };
     // Across the knots of the spline, every quarter of a second, where its third derivative jumps.
@@ -54,7 +54,7 @@ fn orbits_begin_with_sideways_motion() {
     for preset in [Preset::RoomRich, Preset::RoomPoor, Preset::Atlanta, Preset::Unstructured] {
         let path = Path::new(&SequenceConfig::preset(preset, 1).path);
         let (start, later) = (path.camera_from_world(0.0), path.camera_from_world(1.5));
-        let moved = start.transform(&later.centre());
+        let moved = start.transform(&later.center());
         assert!(moved.x.abs() > 0.3, "{}: moved {moved:?}", preset.name());
         assert!(moved.x.abs() > 2.0 * moved.z.abs(), "{}: moved {moved:?}", preset.name());
     }
@@ -71,7 +71,7 @@ fn lawnmowers_cover_their_rectangle() {
     };
     let path = Path::new(&PathConfig { kind, limits: MotionLimits::default(), jitter: None, seed: 1 });
     let positions: Vec<Vector3<f64>> = (0..=(path.duration_s() * 10.0) as usize)
-        .map(|i| path.camera_from_world(0.1 * i as f64).centre())
+        .map(|i| path.camera_from_world(0.1 * i as f64).center())
         .collect();
     for strip in -2..=2 {
         for x in [-0.9, 0.0, 0.9] {

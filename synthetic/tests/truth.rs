@@ -60,13 +60,13 @@ fn noise_differs_between_frames_and_has_the_sigma_asked_for() {
     assert!((sum / n).abs() < 0.1, "bias {}", sum / n);
 }
 
-/// Share of pixels at which the image shows what the ray hits, within `tolerance` grey levels.
+/// Share of pixels at which the image shows what the ray hits, within `tolerance` gray levels.
 fn agreement_with_ray_casting(sequence: &Sequence, i: usize, tolerance: f64) -> f64 {
     let image = sequence.frame(i).image;
     let mut counts = (0, 0);
     for pixel in grid(7) {
         let hit = sequence.cast_pixel(i, &pixel).expect("the world is closed");
-        let expected = sequence.renderer().surface_grey(&hit);
+        let expected = sequence.renderer().surface_gray(&hit);
         let shown = f64::from(image.get(pixel.x as u32, pixel.y as u32));
         counts.0 += usize::from((shown - expected).abs() < tolerance);
         counts.1 += 1;
@@ -258,7 +258,7 @@ fn datasets_list_what_they_contain() {
         .split(' ')
         .map(|x| x.parse().expect("a number"))
         .collect();
-    let position = sequence.camera_from_world(1).centre();
+    let position = sequence.camera_from_world(1).center();
     assert!((truth[1] - position.x).abs() < 1e-8 && (truth[3] - position.z).abs() < 1e-8);
     assert!(
         read("calib.json")

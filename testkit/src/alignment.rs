@@ -33,22 +33,22 @@ pub fn evaluate(
     )
 }
 
-/// The submap with the most key frames.
+/// The submap with the most keyframes.
 pub fn largest_submap(map: &Map) -> Option<SubmapId> {
     let mut sizes: BTreeMap<SubmapId, usize> = BTreeMap::new();
     map.keyframes().for_each(|keyframe| *sizes.entry(keyframe.submap).or_default() += 1);
     sizes.into_iter().max_by_key(|(_, size)| *size).map(|(submap, _)| submap)
 }
 
-/// Takes the map's largest submap to the true world: a similarity over the key frames' positions, whose
+/// Takes the map's largest submap to the true world: a similarity over the keyframes' positions, whose
 /// numbers are those of the sequence's frames. `None` if there are too few of them or they lie on a straight
 /// line.
 pub fn truth_from_map(map: &Map, sequence: &Sequence) -> Option<Similarity> {
     let submap = largest_submap(map)?;
     let keyframes = || map.keyframes().filter(|keyframe| keyframe.submap == submap);
     let estimate: Vec<Vector3<f64>> =
-        keyframes().map(|keyframe| keyframe.camera_from_world.centre()).collect();
+        keyframes().map(|keyframe| keyframe.camera_from_world.center()).collect();
     let truth: Vec<Vector3<f64>> =
-        keyframes().map(|keyframe| sequence.camera_from_world(keyframe.sequence as usize).centre()).collect();
+        keyframes().map(|keyframe| sequence.camera_from_world(keyframe.sequence as usize).center()).collect();
     Similarity::from_correspondences(&estimate, &truth, true)
 }

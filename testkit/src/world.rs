@@ -52,7 +52,7 @@ pub fn camera() -> CameraParameters {
     CameraParameters { model: CameraModel::Radtan, width: 752, height: 480, fx, fy, cx, cy, distortion }
 }
 
-/// A key frame's id.
+/// A keyframe's id.
 pub fn kf(id: u64) -> KeyframeId {
     KeyframeId::new(id).unwrap()
 }
@@ -91,7 +91,7 @@ fn features(numbers: &mut Numbers, n: usize) -> Arc<FrameFeatures> {
 /// How large a map is.
 #[derive(Clone, Copy)]
 pub struct Size {
-    /// Key frames.
+    /// Keyframes.
     pub n_keyframes: u64,
     /// Keypoints of each.
     pub n_keypoints: usize,
@@ -102,7 +102,7 @@ pub struct Size {
 /// Enough for every kind of landmark.
 pub const SMALL: Size = Size { n_keyframes: 6, n_keypoints: 80, n_points: 60 };
 
-/// A consistent map: each point is seen by two to four neighbouring key frames, which hang on one another in
+/// A consistent map: each point is seen by two to four neighboring keyframes, which hang on one another in
 /// a chain.
 pub fn parts(seed: u64, size: Size) -> MapParts {
     let mut numbers = Numbers(seed);
@@ -131,7 +131,7 @@ pub fn parts(seed: u64, size: Size) -> MapParts {
     parts
 }
 
-/// A new point seen by free keypoints of two to four neighbouring key frames.
+/// A new point seen by free keypoints of two to four neighboring keyframes.
 pub fn point(numbers: &mut Numbers, keyframes: &mut [Keyframe], id: PointId) -> PointLandmark {
     let n_seen = 2 + (numbers.bits() % 3) as usize;
     let first = (numbers.bits() % (keyframes.len() - n_seen + 1) as u64) as usize;
@@ -158,9 +158,9 @@ pub fn point(numbers: &mut Numbers, keyframes: &mut [Keyframe], id: PointId) -> 
     }
 }
 
-/// Segments of each key frame of a structured map, a third of them for each of its vanishing points.
+/// Segments of each keyframe of a structured map, a third of them for each of its vanishing points.
 const N_SEGMENTS: u32 = 30;
-/// Primitives of a structured map. The last is seen by no key frame yet.
+/// Primitives of a structured map. The last is seen by no keyframe yet.
 const N_PRIMITIVES: u64 = 4;
 /// Lines of a structured map.
 pub const N_LINES: u64 = 25;
@@ -190,7 +190,7 @@ pub fn structured(seed: u64, size: Size) -> MapParts {
     parts
 }
 
-/// Gives a key frame segments and three vanishing points, of which the first two show primitives.
+/// Gives a keyframe segments and three vanishing points, of which the first two show primitives.
 fn add_structure(numbers: &mut Numbers, keyframe: &mut Keyframe, primitives: &mut [GlobalPrimitive]) {
     let segments = (0..N_SEGMENTS).map(|_| LineFeature {
         start: Vector2::from_fn(|_, _| 300.0 + 300.0 * numbers.signed()),
@@ -217,7 +217,7 @@ fn add_structure(numbers: &mut Numbers, keyframe: &mut Keyframe, primitives: &mu
     }
 }
 
-/// A new line seen by free segments of two to four neighbouring key frames; two in three have a primitive.
+/// A new line seen by free segments of two to four neighboring keyframes; two in three have a primitive.
 pub fn line(numbers: &mut Numbers, keyframes: &mut [Keyframe], id: LineId) -> LineLandmark {
     let n_seen = 2 + (numbers.bits() % 3) as usize;
     let first = (numbers.bits() % (keyframes.len() - n_seen + 1) as u64) as usize;
@@ -282,7 +282,7 @@ pub fn first_update(parts: &MapParts) -> MapUpdate {
     MapUpdate { map: map(parts), changes: all_new(parts), frames }
 }
 
-/// A tracked frame near a key frame; its pose follows from its number.
+/// A tracked frame near a keyframe; its pose follows from its number.
 pub fn frame(sequence: u64, reference: KeyframeId) -> FrameRecord {
     let camera_from_reference = Numbers(sequence).pose();
     FrameRecord {

@@ -11,12 +11,12 @@ use tonic::Code;
 const WIDTH: u32 = 320;
 const HEIGHT: u32 = 240;
 
-fn grey(width: u32, height: u32) -> Vec<u8> {
+fn gray(width: u32, height: u32) -> Vec<u8> {
     vec![128; (width * height) as usize]
 }
 
 fn good() -> v1::Image {
-    png(WIDTH, HEIGHT, &grey(WIDTH, HEIGHT))
+    png(WIDTH, HEIGHT, &gray(WIDTH, HEIGHT))
 }
 
 async fn opened(server: &TestServer) -> FrameStream {
@@ -38,13 +38,13 @@ async fn rejection(stream: &mut FrameStream, frame: v1::Frame) -> v1::FrameRejec
 async fn every_kind_of_bad_image_is_rejected_and_the_stream_goes_on() {
     let server = TestServer::start().await;
     let mut stream = opened(&server).await;
-    let pixels = grey(WIDTH, HEIGHT);
+    let pixels = gray(WIDTH, HEIGHT);
     let whole_png = good().data;
     let whole_jpeg = jpeg(WIDTH, HEIGHT, &pixels).data;
     let file = |data: bytes::Bytes| v1::Image { data, ..v1::Image::default() };
     let raw = raw_gray(WIDTH, HEIGHT, &pixels);
     let cases = [
-        ("WRONG_IMAGE_SIZE", png(WIDTH, HEIGHT - 1, &grey(WIDTH, HEIGHT - 1))),
+        ("WRONG_IMAGE_SIZE", png(WIDTH, HEIGHT - 1, &gray(WIDTH, HEIGHT - 1))),
         ("TRUNCATED_IMAGE", file(whole_png.slice(..whole_png.len() / 2))),
         ("TRUNCATED_IMAGE", file(whole_jpeg.slice(..whole_jpeg.len() / 2))),
         ("UNKNOWN_FORMAT", file(bytes::Bytes::from_static(b"certainly not an image"))),
@@ -55,7 +55,7 @@ async fn every_kind_of_bad_image_is_rejected_and_the_stream_goes_on() {
         ("EMPTY_IMAGE", oversized_png(0, 0)),
         ("IMAGE_TOO_LARGE", oversized_png(30_000, 30_000)),
         ("IMAGE_TOO_LARGE", raw_gray(u32::MAX, u32::MAX, &[])),
-        ("IMAGE_TOO_SMALL", png(64, 48, &grey(64, 48))),
+        ("IMAGE_TOO_SMALL", png(64, 48, &gray(64, 48))),
         ("WRONG_DATA_LENGTH", v1::Image { data: raw.data.slice(1..), ..raw.clone() }),
         ("STRIDE_TOO_SHORT", v1::Image { row_stride: 1, ..raw.clone() }),
     ];

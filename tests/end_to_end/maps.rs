@@ -257,8 +257,8 @@ async fn one_image_is_located_without_a_trace_also_beside_a_writer() {
     assert_eq!(server.running().store().digest("room").await.unwrap(), before, "something was stored");
 
     // A place that is not in the map is an answer; what is no image is not.
-    let grey = tests::png(480, 360, &[90; 480 * 360]).data;
-    let lost: Value = post("image/png", grey).await.unwrap().json().await.unwrap();
+    let gray = tests::png(480, 360, &[90; 480 * 360]).data;
+    let lost: Value = post("image/png", gray).await.unwrap().json().await.unwrap();
     assert_eq!((lost["state"].as_str(), &lost["world_from_camera"]), (Some("lost"), &Value::Null), "{lost}");
     assert!(!lost["reason"].as_str().unwrap().is_empty());
     for (media_type, body, field) in [
@@ -411,8 +411,8 @@ async fn scale_and_options_are_changed_and_lengths_follow() {
     assert_eq!(patch(json!({"lines": true})).await.status(), 409);
     stream.finish().await.unwrap();
 
-    let optimise = http.post(format!("{address}/optimize")).send().await.unwrap();
-    assert_eq!(optimise.status(), 501);
+    let optimize = http.post(format!("{address}/optimize")).send().await.unwrap();
+    assert_eq!(optimize.status(), 501);
     let request = v1::OptimizeMapRequest { session_id: "room".into() };
     assert_eq!(client.optimize_map(request).await.unwrap_err().code(), Code::Unimplemented);
 }

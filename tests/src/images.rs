@@ -3,7 +3,7 @@
 use proto::v1;
 use synthetic::{Preset, Sequence, SequenceConfig, SyntheticFrame};
 
-/// A grey image as PNG.
+/// A gray image as PNG.
 pub fn png(width: u32, height: u32, pixels: &[u8]) -> v1::Image {
     let mut data = Vec::new();
     let mut encoder = png::Encoder::new(&mut data, width, height);
@@ -13,7 +13,7 @@ pub fn png(width: u32, height: u32, pixels: &[u8]) -> v1::Image {
     v1::Image { data: data.into(), ..v1::Image::default() }
 }
 
-/// A grey image as JPEG.
+/// A gray image as JPEG.
 pub fn jpeg(width: u32, height: u32, pixels: &[u8]) -> v1::Image {
     let mut data = Vec::new();
     let size = [width, height].map(|side| u16::try_from(side).expect("JPEG has up to 65535 pixels a side"));
@@ -23,7 +23,7 @@ pub fn jpeg(width: u32, height: u32, pixels: &[u8]) -> v1::Image {
     v1::Image { data: data.into(), ..v1::Image::default() }
 }
 
-/// A grey image as pixels.
+/// A gray image as pixels.
 pub fn raw_gray(width: u32, height: u32, pixels: &[u8]) -> v1::Image {
     let data = bytes::Bytes::copy_from_slice(pixels);
     v1::Image { encoding: v1::ImageEncoding::Gray8.into(), width, height, data, row_stride: 0 }
@@ -100,7 +100,7 @@ impl SmallWorld {
 
     /// True position of the camera at frame `i`.
     pub fn camera_position(&self, i: usize) -> [f64; 3] {
-        let centre = self.sequence.camera_from_world(i * FRAME_STEP).inverse().translation;
-        [centre.x, centre.y, centre.z]
+        let center = self.sequence.camera_from_world(i * FRAME_STEP).inverse().translation;
+        [center.x, center.y, center.z]
     }
 }

@@ -20,7 +20,7 @@ fn recorded() -> Vec<(&'static str, GrayImage)> {
 
 /// Half planes of random brightness, each over a part of the image: edges in all directions, under a little
 /// noise.
-fn synthesised(n_edges: u32) -> GrayImage {
+fn synthesized(n_edges: u32) -> GrayImage {
     let mut state = 1u64;
     let mut below = |n: u32| {
         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
@@ -49,8 +49,8 @@ fn synthesised(n_edges: u32) -> GrayImage {
 
 fn detection(c: &mut Criterion) {
     let mut images = vec![
-        ("few edges", synthesised(20)),
-        ("many edges", synthesised(300)),
+        ("few edges", synthesized(20)),
+        ("many edges", synthesized(300)),
         ("plain", GrayImage::from_fn(640, 480, |_, _| 120)),
     ];
     images.extend(recorded());

@@ -16,7 +16,7 @@ fn recorded() -> Option<GrayImage> {
 }
 
 /// Overlapping rectangles under a little noise, 640 x 480, drawn from a seed.
-fn synthesised(seed: u64) -> GrayImage {
+fn synthesized(seed: u64) -> GrayImage {
     let mut state = seed;
     let mut below = |n: u32| {
         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
@@ -43,11 +43,11 @@ fn extractor() -> OrbExtractor {
 fn extraction(c: &mut Criterion) {
     let mut extractor = extractor();
     let mut pyramid = Pyramid::new(8, 1.2);
-    let synthesised = synthesised(1);
+    let synthesized = synthesized(1);
     c.bench_function("extract 1000 of 640x480, synthesised", |b| {
-        b.iter(|| black_box(extractor.extract(black_box(&synthesised))));
+        b.iter(|| black_box(extractor.extract(black_box(&synthesized))));
     });
-    c.bench_function("pyramid of 640x480, 8 levels", |b| b.iter(|| pyramid.build(black_box(&synthesised))));
+    c.bench_function("pyramid of 640x480, 8 levels", |b| b.iter(|| pyramid.build(black_box(&synthesized))));
     match recorded() {
         Some(image) => {
             c.bench_function("extract 1000 of 640x480, recorded", |b| {
@@ -60,7 +60,7 @@ fn extraction(c: &mut Criterion) {
 
 fn matching(c: &mut Criterion) {
     let mut extractor = extractor();
-    let features: Vec<Features> = (1..=100).map(|seed| extractor.extract(&synthesised(seed))).collect();
+    let features: Vec<Features> = (1..=100).map(|seed| extractor.extract(&synthesized(seed))).collect();
     let config = MatchConfig::default();
     c.bench_function("match 1000 with 1000, all against all", |b| {
         b.iter(|| black_box(match_brute_force(&features[0], &features[1], &config)));

@@ -26,7 +26,7 @@ fn scene() -> (Vec<Vector3<f64>>, Vec<SegmentPlane>) {
             let mut noisy = |point: Vector2<f64>| {
                 point + Vector2::new(rng.random_range(-1.7..1.7), rng.random_range(-1.7..1.7)) * sigma
             };
-            SegmentPlane::from_normalised(&noisy(middle - half), &noisy(middle + half), sigma)
+            SegmentPlane::from_normalized(&noisy(middle - half), &noisy(middle + half), sigma)
         })
         .collect();
     (directions, segments)

@@ -1,4 +1,4 @@
-//! From the bytes of a client to a grey image. The bytes are not trusted: sizes are checked before anything
+//! From the bytes of a client to a gray image. The bytes are not trusted: sizes are checked before anything
 //! is decoded or allocated, and whatever is wrong comes back as a [`DecodeError`].
 
 mod convert;
@@ -54,7 +54,7 @@ pub enum EncodedImage<'a> {
         /// `(height - 1) * stride + width * bytes_per_pixel` to `height * stride` bytes.
         data: &'a [u8],
     },
-    /// A PNG file: grey, colour or palette, up to 16 bits.
+    /// A PNG file: gray, color or palette, up to 16 bits.
     Png(&'a [u8]),
     /// A baseline or progressive JPEG file.
     Jpeg(&'a [u8]),
@@ -65,7 +65,7 @@ pub enum EncodedImage<'a> {
 /// What is accepted. An image outside is refused before it is decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DecodeLimits {
-    /// Largest input, bytes. Default 64 MiB: the largest raw colour image with room to spare.
+    /// Largest input, bytes. Default 64 MiB: the largest raw color image with room to spare.
     pub max_bytes: usize,
     /// Largest image, pixels. Default 4096 * 3072.
     pub max_pixels: u64,
@@ -163,7 +163,7 @@ pub enum DecodeError {
     },
 }
 
-/// Decodes `image` to grey (ITU-R BT.601 luma), refusing what is outside `limits` before decoding it.
+/// Decodes `image` to gray (ITU-R BT.601 luma), refusing what is outside `limits` before decoding it.
 pub fn decode_gray(image: &EncodedImage<'_>, limits: &DecodeLimits) -> Result<GrayImage, DecodeError> {
     let data = match *image {
         EncodedImage::Raw { data, .. } | EncodedImage::Png(data) | EncodedImage::Jpeg(data) => data,

@@ -129,7 +129,7 @@ impl KeypointGrid {
         }
         let (first_column, last_column) = (self.column(x - radius), self.column(x + radius));
         for row in self.row(y - radius)..=self.row(y + radius) {
-            // Cells of one row are neighbours in memory: one run of entries covers them all.
+            // Cells of one row are neighbors in memory: one run of entries covers them all.
             let from = self.cell_starts[row * N_COLUMNS + first_column] as usize;
             let to = self.cell_starts[row * N_COLUMNS + last_column + 1] as usize;
             for entry in &self.entries[from..to] {

@@ -1,6 +1,6 @@
-//! The 8-bit grey image everything in this crate works on.
+//! The 8-bit gray image everything in this crate works on.
 
-/// An 8-bit grey image, row-major and tight (no padding between rows).
+/// An 8-bit gray image, row-major and tight (no padding between rows).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct GrayImage {
     width: u32,
@@ -120,9 +120,9 @@ impl GrayImage {
 /// Brightness and sharpness of an image, to notice blur and changes of exposure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageStatistics {
-    /// Mean grey level, 0 to 255; 0 for an empty image.
+    /// Mean gray level, 0 to 255; 0 for an empty image.
     pub mean: f64,
-    /// Mean of `(I(x+1,y) - I(x,y))^2 + (I(x,y+1) - I(x,y))^2`, squared grey levels: falls when the image is
+    /// Mean of `(I(x+1,y) - I(x,y))^2 + (I(x,y+1) - I(x,y))^2`, squared gray levels: falls when the image is
     /// blurred.
     pub gradient_energy: f64,
 }

@@ -4,7 +4,7 @@
 //! ```text
 //!                    ┌─► orb ────► Features ──► matching, KeypointGrid ──► matches
 //!   bytes ─► decode ─┤              └─────────► place ──────────────────► images of the same place
-//!            (grey)  └─► lines ──► TrackedLines ──► vanishing ──────────► vanishing points, rotation
+//!            (gray)  └─► lines ──► TrackedLines ──► vanishing ──────────► vanishing points, rotation
 //! ```
 //!
 //! * [`GrayImage`]: what everything here works on; [`decode::decode_gray`] makes one from PNG, JPEG or raw
@@ -18,7 +18,7 @@
 //! * [`place::PlaceIndex`]: which stored images show the same place, for loop closure and relocalization.
 //!
 //! The crate knows nothing of cameras, maps or files: coordinates are pixels of the image as given
-//! (distorted, if the lens distorts), pixel centres at integers, the origin at the centre of the top-left
+//! (distorted, if the lens distorts), pixel centers at integers, the origin at the center of the top-left
 //! pixel, x right, y down. Everything is single-threaded and deterministic: the same input gives the same
 //! bytes.
 //!

@@ -75,7 +75,7 @@ impl Default for MatchConfig {
     }
 }
 
-/// Matches within a window around where each point was, at the finest level only, for initialisation.
+/// Matches within a window around where each point was, at the finest level only, for initialization.
 ///
 /// `expected` holds, for each keypoint of `first`, where it is looked for in `second` (usually where it was,
 /// or where its match of the frame before was); `second_grid` is built over `second`. Matches are mutual and
@@ -221,7 +221,7 @@ impl DominantRotations {
     }
 }
 
-/// The cell of a change, centred so that no rotation falls in the middle of cell 0.
+/// The cell of a change, centered so that no rotation falls in the middle of cell 0.
 fn rotation_bin(change: f32) -> Option<usize> {
     let turns = change / std::f32::consts::TAU;
     let bins = (turns - turns.floor()) * N_ROTATION_BINS as f32;
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn windows_limit_matches_to_the_neighbourhood_and_the_finest_level() {
+    fn windows_limit_matches_to_the_neighborhood_and_the_finest_level() {
         let mut random = Random::new(4);
         let first = random_features(&mut random, 300);
         let second = seen_again(&mut random, &first, 40.0, 0.0);

@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn fine_stripes_average_to_grey() {
+    fn fine_stripes_average_to_gray() {
         let image = GrayImage::from_fn(640, 480, |x, _| if x % 2 == 0 { 0 } else { 200 });
         let out = resize_area(&image, 150, 100);
         // 4.27 pixels a new pixel: at most a quarter of a stripe more of one kind than of the other.

@@ -24,7 +24,7 @@ pub fn summary(s: &StreamSummary) -> String {
     row(
         "map",
         format!(
-            "{} key frames, {} points, {} lines, {} primitives, {} submaps",
+            "{} keyframes, {} points, {} lines, {} primitives, {} submaps",
             s.keyframes, s.points, s.lines, s.primitives, s.submaps
         ),
     );
@@ -51,8 +51,8 @@ pub fn summary(s: &StreamSummary) -> String {
 
 /// What was found out about the camera, for whoever can act on it.
 fn camera_sentence(found: &CameraFinding) -> String {
-    let CameraFinding { focal, centre_x, centre_y, adopted } = found;
-    let [focal, right, down] = [focal, centre_x, centre_y].map(|share| 100.0 * share);
+    let CameraFinding { focal, center_x, center_y, adopted } = found;
+    let [focal, right, down] = [focal, center_x, center_y].map(|share| 100.0 * share);
     let camera = format!(
         "focal length {focal:+.1} %, principal point {right:+.1} % of it to the right and {down:+.1} % down"
     );

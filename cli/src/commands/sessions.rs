@@ -77,7 +77,7 @@ pub async fn run(args: SessionsArgs) -> Result<()> {
 fn table(sessions: &[v1::Session]) -> String {
     let head = format!(
         "{:<24} {:<12} {:>9} {:>10} {:>9} {:>8} {:>10} {:>8} {:>7}\n",
-        "session", "state", "frames", "key frames", "points", "lines", "primitives", "submaps", "writer"
+        "session", "state", "frames", "keyframes", "points", "lines", "primitives", "submaps", "writer"
     );
     let row = |s: &v1::Session| {
         format!(

@@ -41,7 +41,7 @@ pub struct StreamArgs {
     end: Option<usize>,
     #[command(flatten)]
     options: OptionArgs,
-    /// Layout of the recording: folder, euroc, kitti, tum or icl [default: recognised]
+    /// Layout of the recording: folder, euroc, kitti, tum or icl [default: recognized]
     #[arg(long, value_name = "L")]
     layout: Option<Layout>,
     /// End the stream of another client that is streaming into the session

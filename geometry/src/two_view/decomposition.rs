@@ -35,7 +35,7 @@ pub fn decompose_essential(essential: &Matrix3<f64>) -> Option<[Pose; 4]> {
     Some([pose(&first, t), pose(&first, -t), pose(&second, t), pose(&second, -t)])
 }
 
-/// The motions `b_from_a` and unit plane normals (in frame a) a homography between *normalised* coordinates
+/// The motions `b_from_a` and unit plane normals (in frame a) a homography between *normalized* coordinates
 /// (`K⁻¹` times pixels) can stand for: `H ∼ R + t nᵀ` for the plane `n · X = 1`, so that translations are in
 /// units of the distance from camera a to the plane.
 ///

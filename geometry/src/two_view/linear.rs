@@ -1,4 +1,4 @@
-//! The normalised linear estimators [Hartley 1997].
+//! The normalized linear estimators [Hartley 1997].
 
 use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen, Vector2};
 
@@ -11,10 +11,10 @@ pub fn fundamental_eight_point(a: &[Vector2<f64>], b: &[Vector2<f64>]) -> Option
     if a.len() != b.len() || a.len() < 8 {
         return None;
     }
-    let (normalise_a, normalise_b) = (Normalisation::of(a)?, Normalisation::of(b)?);
+    let (normalize_a, normalize_b) = (Normalization::of(a)?, Normalization::of(b)?);
     let mut rows = NullVector::new(a.len());
     for (a, b) in a.iter().zip(b) {
-        let (a, b) = (normalise_a.apply(a), normalise_b.apply(b));
+        let (a, b) = (normalize_a.apply(a), normalize_b.apply(b));
         rows.push([b.x * a.x, b.x * a.y, b.x, b.y * a.x, b.y * a.y, b.y, a.x, a.y, 1.0]);
     }
     let f = Matrix3::from_row_slice(rows.solve()?.as_slice());
@@ -22,7 +22,7 @@ pub fn fundamental_eight_point(a: &[Vector2<f64>], b: &[Vector2<f64>]) -> Option
     let smallest = svd.singular_values.imin();
     svd.singular_values[smallest] = 0.0;
     let f = svd.recompose().ok()?;
-    finite_unit(normalise_b.matrix().transpose() * f * normalise_a.matrix())
+    finite_unit(normalize_b.matrix().transpose() * f * normalize_a.matrix())
 }
 
 /// The homography, of unit norm, of four or more pairs of points.
@@ -30,15 +30,15 @@ pub fn fundamental_eight_point(a: &[Vector2<f64>], b: &[Vector2<f64>]) -> Option
 /// `None` if the slices differ in length or are shorter than four, all points of one image coincide, the
 /// result is singular (three of four points on a line), or anything is not finite.
 pub fn homography_four_point(a: &[Vector2<f64>], b: &[Vector2<f64>]) -> Option<Matrix3<f64>> {
-    /// Least determinant of the homography between normalised points, at unit norm.
+    /// Least determinant of the homography between normalized points, at unit norm.
     const MIN_DETERMINANT: f64 = 1e-8;
     if a.len() != b.len() || a.len() < 4 {
         return None;
     }
-    let (normalise_a, normalise_b) = (Normalisation::of(a)?, Normalisation::of(b)?);
+    let (normalize_a, normalize_b) = (Normalization::of(a)?, Normalization::of(b)?);
     let mut rows = NullVector::new(2 * a.len());
     for (a, b) in a.iter().zip(b) {
-        let (a, b) = (normalise_a.apply(a), normalise_b.apply(b));
+        let (a, b) = (normalize_a.apply(a), normalize_b.apply(b));
         rows.push([a.x, a.y, 1.0, 0.0, 0.0, 0.0, -b.x * a.x, -b.x * a.y, -b.x]);
         rows.push([0.0, 0.0, 0.0, a.x, a.y, 1.0, -b.y * a.x, -b.y * a.y, -b.y]);
     }
@@ -46,7 +46,7 @@ pub fn homography_four_point(a: &[Vector2<f64>], b: &[Vector2<f64>]) -> Option<M
     if h.determinant().abs() < MIN_DETERMINANT {
         return None;
     }
-    finite_unit(normalise_b.inverse_matrix() * h * normalise_a.matrix())
+    finite_unit(normalize_b.inverse_matrix() * h * normalize_a.matrix())
 }
 
 fn finite_unit(m: Matrix3<f64>) -> Option<Matrix3<f64>> {
@@ -55,12 +55,12 @@ fn finite_unit(m: Matrix3<f64>) -> Option<Matrix3<f64>> {
 }
 
 /// Moves the centroid to the origin and the mean distance from it to √2.
-struct Normalisation {
+struct Normalization {
     centroid: Vector2<f64>,
     scale: f64,
 }
 
-impl Normalisation {
+impl Normalization {
     fn of(points: &[Vector2<f64>]) -> Option<Self> {
         let n = points.len() as f64;
         let centroid = points.iter().sum::<Vector2<f64>>() / n;

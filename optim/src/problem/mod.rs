@@ -25,7 +25,7 @@ use group::{Group, TypedGroup};
 /// so a factor may touch any reduced variables but at most one landmark.
 ///
 /// Results depend on the order in which variables and factors are added and on nothing else: add them in the
-/// order of their ids. The linearisation is quickest when factors come landmark by landmark.
+/// order of their ids. The linearization is quickest when factors come landmark by landmark.
 #[derive(Default)]
 pub struct Problem {
     stores: Stores,
@@ -305,7 +305,7 @@ impl Problem {
         max_abs(&system.normal.gradient)
     }
 
-    /// Reduces and factorises the damped system.
+    /// Reduces and factorizes the damped system.
     fn factorize(&mut self, damping: Damping) -> Result<(), crate::reduced::NotPositiveDefinite> {
         let system = self.system.as_mut().expect("the system is laid out before it is factorised");
         let (mut schur, layout, solver) = system.split(damping);

@@ -9,7 +9,7 @@
 //!    that share a factor with it, and those that share a landmark with it: eliminating the landmark fills
 //!    them in.
 //! 4. Behind it come the landmarks' diagonal blocks, then their blocks with their members.
-//! 5. Variables and factors are told their offsets, so that the linearisation looks nothing up.
+//! 5. Variables and factors are told their offsets, so that the linearization looks nothing up.
 //!
 //! Unknowns are ordered by the type of variable, then by that in which they were added, so that
 //! the same problem always sums in the same order and gives the same bytes.

@@ -216,9 +216,9 @@ impl World {
                 let s = i as f64;
                 let turn =
                     Vector3::new(0.05 * (0.3 * s).sin(), 0.1 * (0.2 * s).sin(), 0.03 * (0.5 * s).cos());
-                let centre = Vector3::new(0.3 * s, 0.2 * (0.4 * s).sin(), 0.1 * (0.7 * s).cos());
+                let center = Vector3::new(0.3 * s, 0.2 * (0.4 * s).sin(), 0.1 * (0.7 * s).cos());
                 let mut pose = Pose::exp(&Vector6::new(turn.x, turn.y, turn.z, 0.0, 0.0, 0.0));
-                pose.translation = -(pose.rotation * centre);
+                pose.translation = -(pose.rotation * center);
                 pose
             })
             .collect();
@@ -293,7 +293,7 @@ impl Bundle {
     }
 }
 
-/// A camera's normalised image of a line's segment between two parameters, with noise.
+/// A camera's normalized image of a line's segment between two parameters, with noise.
 pub fn observe_segment(
     pose: &Pose,
     ends: [Vector3<f64>; 2],

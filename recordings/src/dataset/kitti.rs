@@ -41,7 +41,7 @@ fn read_frames(root: &Path) -> Result<Vec<FrameFile>, FileError> {
     Ok(frames)
 }
 
-/// The left grey camera is `P0`, a 3x4 projection matrix in rows; the images are rectified.
+/// The left gray camera is `P0`, a 3x4 projection matrix in rows; the images are rectified.
 fn read_calibration(path: &Path, (width, height): (u32, u32)) -> Result<Camera, FileError> {
     let file = TextFile::read(path)?;
     let row = file.lines().find_map(|line| Some((line, line.text.strip_prefix("P0:")?)));

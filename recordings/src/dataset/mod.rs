@@ -1,6 +1,6 @@
 //! Recordings: folders of images with times and a calibration, in the layouts in use.
 //!
-//! | layout | recognised by | times | calibration | ground truth |
+//! | layout | recognized by | times | calibration | ground truth |
 //! |---|---|---|---|---|
 //! | `folder` | `rgb.txt`, `calib.json` | `rgb.txt` | `calib.json` | `groundtruth.txt` |
 //! | `euroc` | `mav0/cam0/data.csv` | `data.csv` | `sensor.yaml` | `state_groundtruth_estimate0`, brought to the camera by `T_BS` |
@@ -58,7 +58,7 @@ impl Layout {
     }
 
     /// The layout of the recording in `root`, if it is one we know.
-    pub fn recognise(root: &Path) -> Option<Self> {
+    pub fn recognize(root: &Path) -> Option<Self> {
         Self::ALL.into_iter().find(|layout| match layout {
             Self::Folder => folder::is_recording(root),
             Self::Euroc => euroc::is_recording(root),
@@ -111,7 +111,7 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Opens the recording in the folder `root`, of the given layout or of the one recognised.
+    /// Opens the recording in the folder `root`, of the given layout or of the one recognized.
     ///
     /// The calibration is checked, as are the times and that every image is there with the first of the
     /// calibrated size; images are not decoded.
@@ -121,7 +121,7 @@ impl Recording {
     pub fn open(root: &Path, layout: Option<Layout>) -> Result<Self, FileError> {
         // Resolves `.` and links, since a recording's name is its folder's.
         let root = &root.canonicalize().map_err(|source| FileError::io(root, source))?;
-        let Some(layout) = layout.or_else(|| Layout::recognise(root)) else {
+        let Some(layout) = layout.or_else(|| Layout::recognize(root)) else {
             return Err(FileError::content(root, unknown_layout(root)));
         };
         let content = match layout {

@@ -9,7 +9,7 @@ use crate::files::{FileError, TextFile};
 
 const LIST: &str = "rgb.txt";
 
-/// The calibrations of the colour images published with the data set: `fx fy cx cy`, then `k1 k2 p1 p2 k3`.
+/// The calibrations of the color images published with the data set: `fx fy cx cy`, then `k1 k2 p1 p2 k3`.
 /// The images of Freiburg 3 are published undistorted.
 const CALIBRATIONS: [(&str, [f64; 4], &[f64]); 3] = [
     ("freiburg1", [517.3, 516.5, 318.6, 255.3], &[0.2624, -0.9531, -0.0054, 0.0026, 1.1633]),

@@ -302,12 +302,12 @@ fn frame_result(report: &FrameReport, metres_per_unit: Option<f64>) -> v1::Frame
         n_inlier_points: report.n_inlier_points as u32,
         n_inlier_lines: report.n_inlier_lines as u32,
         is_key_frame: report.is_keyframe,
-        relocalised: report.relocalised,
+        relocalised: report.relocalized,
         durable_sequence: None,
         timings: None,
         repeated: false,
         n_keypoints: report.n_keypoints as u32,
-        n_relocalisation_candidates: report.n_relocalisation_candidates.map(|n| n as u32),
+        n_relocalisation_candidates: report.n_relocalization_candidates.map(|n| n as u32),
         corrections: report.map_events.iter().map(correction).collect(),
     }
 }
@@ -322,8 +322,8 @@ fn correction(event: &slam::MapEvent) -> v1::MapCorrection {
         submap_gone: submap_gone.map(|submap| submap.0),
         submap_kept: submap_kept.map(|submap| submap.0),
         camera: event.camera().map(|(correction, adopted)| {
-            let PinholeCorrection { focal, centre_x, centre_y } = correction;
-            v1::CameraCorrection { focal, centre_x, centre_y, adopted }
+            let PinholeCorrection { focal, center_x, center_y } = correction;
+            v1::CameraCorrection { focal, centre_x: center_x, centre_y: center_y, adopted }
         }),
     }
 }

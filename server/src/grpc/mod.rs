@@ -147,7 +147,7 @@ impl SlamService for Handler {
     ) -> Result<Response<v1::LocalizeResponse>, Status> {
         let v1::LocalizeRequest { session_id: id, image } = request.into_inner();
         let id = session_id(&id)?;
-        let located = self.service.localise(&id, convert::image_to_locate(image)?).await?;
+        let located = self.service.localize(&id, convert::image_to_locate(image)?).await?;
         Ok(Response::new(convert::located(&located)))
     }
 
@@ -155,7 +155,7 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::OptimizeMapRequest>,
     ) -> Result<Response<v1::OptimizeMapResponse>, Status> {
-        self.service.optimise(&session_id(&request.get_ref().session_id)?).await?;
+        self.service.optimize(&session_id(&request.get_ref().session_id)?).await?;
         Ok(Response::new(v1::OptimizeMapResponse {}))
     }
 

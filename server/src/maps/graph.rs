@@ -19,13 +19,13 @@ use utoipa::ToSchema;
 #[serde(rename_all = "lowercase")]
 #[schema(as = Kind)]
 pub enum GraphKind {
-    /// Key frames that see the same points and lines.
+    /// Keyframes that see the same points and lines.
     #[default]
     Covisibility,
-    /// Key frames that show the same global primitive, each pair with whether the two see anything in common
+    /// Keyframes that show the same global primitive, each pair with whether the two see anything in common
     /// besides.
     Primitives,
-    /// What loops are closed on: the spanning tree, pairs of key frames that share many landmarks, and pairs
+    /// What loops are closed on: the spanning tree, pairs of keyframes that share many landmarks, and pairs
     /// far apart in time that share some since a loop was closed between them.
     Essential,
 }
@@ -35,14 +35,14 @@ pub enum GraphKind {
 pub struct GraphQuery {
     /// Which graph.
     pub kind: GraphKind,
-    /// Ties of this key frame only.
+    /// Ties of this keyframe only.
     pub keyframe_id: Option<u64>,
-    /// Ties between key frames that share at least so many landmarks only. The spanning tree is whole all the
+    /// Ties between keyframes that share at least so many landmarks only. The spanning tree is whole all the
     /// same.
     pub min_weight: u32,
 }
 
-/// A key frame.
+/// A keyframe.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Node {
     /// Identity within the session.
@@ -57,12 +57,12 @@ pub struct Node {
     pub position: [f64; 3],
 }
 
-/// Two key frames that are tied.
+/// Two keyframes that are tied.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Edge {
-    /// The older key frame; of the spanning tree, the parent.
+    /// The older keyframe; of the spanning tree, the parent.
     pub from: u64,
-    /// The other key frame.
+    /// The other keyframe.
     pub to: u64,
     /// Landmarks that both see.
     pub weight: u32,
@@ -82,19 +82,19 @@ pub struct Edge {
     pub spanning: Option<bool>,
 }
 
-/// Key frames and what ties them.
+/// Keyframes and what ties them.
 pub struct Graph {
     /// What a length of 1 means.
     pub scale: Scale,
-    /// The key frames in the order of their ids.
+    /// The keyframes in the order of their ids.
     pub nodes: Vec<Node>,
-    /// The ties; of the primitives' graph in the order of the primitives' ids, otherwise of the key frames'.
+    /// The ties; of the primitives' graph in the order of the primitives' ids, otherwise of the keyframes'.
     /// There can be very many, so they are made one by one.
     pub edges: Box<dyn Iterator<Item = Edge> + Send>,
 }
 
 impl MapQueries {
-    /// A session's graph of key frames.
+    /// A session's graph of keyframes.
     ///
     /// # Errors
     /// If there is no such session.
@@ -113,7 +113,7 @@ impl MapQueries {
 
         let nodes = keyframes.iter().map(|record| Node::new(record, units)).collect();
         let (query, ties) = (*query, Ties { shared, keyframes, primitives });
-        // Choosing edges takes as long as there are key frames.
+        // Choosing edges takes as long as there are keyframes.
         let edges = tokio::task::spawn_blocking(move || ties.into_edges(query.kind, &loops)).await;
         let edges = edges.map_err(ApiError::internal)?.filter(move |edge| query.wants(edge));
         Ok(Graph { scale: units.scale(), nodes, edges: Box::new(edges) })
@@ -205,7 +205,7 @@ impl Ties {
         pairs.into_iter().map(edge).collect()
     }
 
-    /// What each key frame shares with others, most first, as the engine keeps it.
+    /// What each keyframe shares with others, most first, as the engine keeps it.
     fn covisible(&self) -> BTreeMap<KeyframeId, Vec<(KeyframeId, u32)>> {
         let mut covisible: BTreeMap<KeyframeId, Vec<(KeyframeId, u32)>> = BTreeMap::new();
         for ((a, b), shared) in &self.shared {
@@ -216,7 +216,7 @@ impl Ties {
         covisible
     }
 
-    /// Each pair of key frames of each primitive.
+    /// Each pair of keyframes of each primitive.
     fn into_primitive_edges(self) -> impl Iterator<Item = Edge> + Send {
         let present: BTreeSet<KeyframeId> = self.keyframes.iter().map(|record| record.id).collect();
         let shared = Arc::new(self.shared);

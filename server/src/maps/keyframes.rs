@@ -1,4 +1,4 @@
-//! Key frames and their images.
+//! Keyframes and their images.
 
 use super::{Batches, MapQueries, ROWS_PER_BATCH, Scaled, batches_of_pages};
 use crate::error::{ApiError, ErrorCode};
@@ -10,7 +10,7 @@ use slam::map::KeyframeId;
 use store::{KeyframeRecord, StoredImage};
 use utoipa::ToSchema;
 
-/// A key frame.
+/// A keyframe.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Keyframe {
     /// Identity within the session.
@@ -23,7 +23,7 @@ pub struct Keyframe {
     pub timestamp_ns: i64,
     /// The camera's pose in the world.
     pub world_from_camera: Pose,
-    /// The key frame it hangs on in the spanning tree.
+    /// The keyframe it hangs on in the spanning tree.
     pub parent: Option<u64>,
     /// Keypoints measured in it.
     pub n_keypoints: u32,
@@ -56,7 +56,7 @@ impl Keyframe {
 }
 
 impl MapQueries {
-    /// A page of key frames in the order of their ids.
+    /// A page of keyframes in the order of their ids.
     ///
     /// # Errors
     /// If there is no such session, or the token cannot be used.
@@ -71,7 +71,7 @@ impl MapQueries {
         Ok(Scaled::new(units, Page::of(keyframes, |record| Keyframe::new(&record, units))))
     }
 
-    /// Every key frame in the order of their ids.
+    /// Every keyframe in the order of their ids.
     ///
     /// # Errors
     /// If there is no such session.
@@ -86,10 +86,10 @@ impl MapQueries {
         Ok(Scaled::new(units, keyframes))
     }
 
-    /// A key frame.
+    /// A keyframe.
     ///
     /// # Errors
-    /// If there is no such session or key frame.
+    /// If there is no such session or keyframe.
     pub async fn keyframe(&self, id: &SessionId, keyframe_id: KeyframeId) -> Result<Keyframe, ApiError> {
         let units = self.units(id).await?;
         let record = self.store.keyframe(id.as_str(), keyframe_id).await?;
@@ -97,10 +97,10 @@ impl MapQueries {
         Ok(Keyframe::new(&record, units))
     }
 
-    /// A key frame's image, as it was sent; pixels sent raw come as PNG.
+    /// A keyframe's image, as it was sent; pixels sent raw come as PNG.
     ///
     /// # Errors
-    /// If there is no such session or key frame, or the image was not kept.
+    /// If there is no such session or keyframe, or the image was not kept.
     pub async fn keyframe_image(
         &self,
         id: &SessionId,
@@ -112,12 +112,12 @@ impl MapQueries {
         if self.store.keyframe(id.as_str(), keyframe_id).await?.is_none() {
             return Err(no_keyframe(id, keyframe_id));
         }
-        let sentence = format!("the image of key frame {keyframe_id} was not kept");
+        let sentence = format!("the image of keyframe {keyframe_id} was not kept");
         Err(ApiError::new(ErrorCode::ImageNotFound, sentence))
     }
 }
 
 fn no_keyframe(id: &SessionId, keyframe_id: KeyframeId) -> ApiError {
-    let sentence = format!("session {id} has no key frame {keyframe_id}");
+    let sentence = format!("session {id} has no keyframe {keyframe_id}");
     ApiError::new(ErrorCode::KeyframeNotFound, sentence)
 }

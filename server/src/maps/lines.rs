@@ -24,7 +24,7 @@ pub struct Line {
     pub direction: [f64; 3],
     /// Moment of the infinite line, a point on it times the direction (Plücker coordinates).
     pub moment: [f64; 3],
-    /// Key frames that see it.
+    /// Keyframes that see it.
     pub n_observations: u32,
     /// The global primitive whose direction it has; `null` while none is known.
     pub primitive_id: Option<u64>,
@@ -35,7 +35,7 @@ pub struct Line {
 pub struct LineQuery {
     /// Where some part of the line is.
     pub place: Place,
-    /// Lines seen by at least so many key frames.
+    /// Lines seen by at least so many keyframes.
     pub min_observations: u32,
     /// Lines in this submap.
     pub submap: Option<SubmapId>,

@@ -25,7 +25,7 @@ pub struct BoundingBox {
     pub max: [f64; 3],
 }
 
-/// A centre and a radius, map units.
+/// A center and a radius, map units.
 type Ball = (Vector3<f64>, f64);
 
 impl Place {
@@ -45,8 +45,8 @@ impl Place {
                 if !(radius.is_finite() && radius >= 0.0) {
                     return Err(ApiError::invalid("radius", "must be a finite number, 0 or more"));
                 }
-                let centre = near.map(|length| units.to_map(length)).into();
-                Ok(Some((centre, units.to_map(radius))))
+                let center = near.map(|length| units.to_map(length)).into();
+                Ok(Some((center, units.to_map(radius))))
             }
             (Some(_), None) => Err(ApiError::invalid("radius", "is needed with `near`")),
             (None, Some(_)) => Err(ApiError::invalid("near", "is needed with `radius`")),

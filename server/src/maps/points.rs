@@ -18,7 +18,7 @@ pub struct Point {
     pub submap_id: u32,
     /// Position.
     pub position: [f64; 3],
-    /// Key frames that see it.
+    /// Keyframes that see it.
     pub n_observations: u32,
 }
 
@@ -27,7 +27,7 @@ pub struct Point {
 pub struct PointQuery {
     /// Where.
     pub place: Place,
-    /// Points seen by at least so many key frames.
+    /// Points seen by at least so many keyframes.
     pub min_observations: u32,
     /// Points in this submap.
     pub submap: Option<SubmapId>,

@@ -1,4 +1,4 @@
-//! Global primitives: the directions that key frames share.
+//! Global primitives: the directions that keyframes share.
 
 use super::{Batches, MapQueries, ROWS_PER_BATCH, batches_of_pages};
 use crate::error::{ApiError, ErrorCode};
@@ -10,7 +10,7 @@ use slam::map::{GlobalPrimitive, KeyframeId, PrimitiveId, SubmapId};
 use store::{LineQuery, PrimitiveRecord};
 use utoipa::ToSchema;
 
-/// A direction of the world that key frames share, whether or not they see the same place.
+/// A direction of the world that keyframes share, whether or not they see the same place.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Primitive {
     /// Identity within the session.
@@ -24,7 +24,7 @@ pub struct Primitive {
     pub covariance: [[f64; 3]; 3],
     /// Standard deviation of the direction where it is least certain, degrees.
     pub std_deg: f64,
-    /// Key frames that show it.
+    /// Keyframes that show it.
     pub n_keyframes: u32,
     /// Lines that have its direction.
     pub n_lines: u64,
@@ -36,9 +36,9 @@ pub struct PrimitiveDetail {
     /// The primitive.
     #[serde(flatten)]
     pub primitive: Primitive,
-    /// The key frame that made it, which may have been removed since.
+    /// The keyframe that made it, which may have been removed since.
     pub created_by: u64,
-    /// The key frames it ties.
+    /// The keyframes it ties.
     pub keyframes: Vec<u64>,
     /// The lines that have its direction; `GET …/lines?primitive_id=` tells where they are.
     pub lines: Vec<u64>,
@@ -101,7 +101,7 @@ impl MapQueries {
         Ok(batches_of_pages(read, Primitive::from))
     }
 
-    /// A primitive with the key frames it ties and the lines that have its direction.
+    /// A primitive with the keyframes it ties and the lines that have its direction.
     ///
     /// # Errors
     /// If there is no such session or primitive.

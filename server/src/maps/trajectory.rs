@@ -8,7 +8,7 @@ use store::TrajectoryFilter;
 /// Which poses of a trajectory are wanted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TrajectoryQuery {
-    /// Every frame's or key frames'.
+    /// Every frame's or keyframes'.
     pub kind: TrajectoryKind,
     /// First time, nanoseconds.
     pub from_timestamp_ns: Option<i64>,

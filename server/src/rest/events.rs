@@ -1,7 +1,7 @@
 //! What happens in a session, as server-sent events.
 
 use super::model::Session;
-use super::{App, Problem};
+use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::model::{Pose, Scale, State as TrackingState, Units};
 use crate::session::{MapChange, SessionEvent, SessionId};
@@ -34,10 +34,11 @@ pub(super) struct FrameEvent {
     scale: Scale,
     /// The submap whose frame of reference the pose is in.
     submap_id: u32,
-    /// The frame became a key frame.
+    /// The frame became a keyframe.
     is_key_frame: bool,
-    /// The pose was found by recognising the place.
-    relocalised: bool,
+    /// The pose was found by recognizing the place.
+    #[serde(rename = "relocalised")]
+    relocalized: bool,
     /// Corrections of the map that took effect with this frame.
     corrections: Vec<MapCorrection>,
 }
@@ -48,9 +49,11 @@ pub(super) struct CameraCorrection {
     /// Relative change of both focal lengths.
     focal: f64,
     /// Shift of the principal point to the right, in focal lengths.
-    centre_x: f64,
+    #[serde(rename = "centre_x")]
+    center_x: f64,
     /// Shift of the principal point downwards, in focal lengths.
-    centre_y: f64,
+    #[serde(rename = "centre_y")]
+    center_y: f64,
     /// The map was adjusted to that camera. Otherwise it is more than a calibration can be wrong by: it is
     /// used as it was given, and should be looked at.
     adopted: bool,
@@ -59,9 +62,9 @@ pub(super) struct CameraCorrection {
 /// The map was corrected: a loop was closed, submaps were merged, or the intrinsics were refined.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(super) struct MapCorrection {
-    /// The key frame that shows the place again; `null` if it is about the camera.
+    /// The keyframe that shows the place again; `null` if it is about the camera.
     keyframe: Option<u64>,
-    /// The key frame that showed it before.
+    /// The keyframe that showed it before.
     matched_keyframe: Option<u64>,
     /// Points of the place that were found again.
     n_matches: usize,
@@ -76,9 +79,9 @@ pub(super) struct MapCorrection {
 /// Data of an event `map`: the map was changed. It is in the database a moment later.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(super) struct MapEvent {
-    /// Key frames that are new, moved, or see other landmarks than before.
+    /// Keyframes that are new, moved, or see other landmarks than before.
     changed_keyframes: Vec<u64>,
-    /// Key frames that were removed.
+    /// Keyframes that were removed.
     removed_keyframes: Vec<u64>,
     /// Points that are new or changed.
     n_changed_points: usize,
@@ -92,7 +95,7 @@ pub(super) struct MapEvent {
     changed_primitives: Vec<u64>,
     /// Global primitives that were removed.
     removed_primitives: Vec<u64>,
-    /// Key frames there are now.
+    /// Keyframes there are now.
     n_keyframes: usize,
     /// Points there are now.
     n_points: usize,
@@ -120,7 +123,7 @@ impl FrameEvent {
             scale: units.scale(),
             submap_id: report.submap.0,
             is_key_frame: report.is_keyframe,
-            relocalised: report.relocalised,
+            relocalized: report.relocalized,
             corrections: report.map_events.iter().map(MapCorrection::from).collect(),
         }
     }
@@ -137,8 +140,8 @@ impl From<&slam::MapEvent> for MapCorrection {
             submap_gone: submap_gone.map(|submap| submap.0),
             submap_kept: submap_kept.map(|submap| submap.0),
             camera: event.camera().map(|(correction, adopted)| {
-                let PinholeCorrection { focal, centre_x, centre_y } = correction;
-                CameraCorrection { focal, centre_x, centre_y, adopted }
+                let PinholeCorrection { focal, center_x, center_y } = correction;
+                CameraCorrection { focal, center_x, center_y, adopted }
             }),
         }
     }
@@ -176,7 +179,7 @@ impl From<&MapChange> for MapEvent {
     (status = 200, description = "The events", content(
         (Session = "text/event-stream"), (FrameEvent = "text/event-stream; event=frame"),
         (MapEvent = "text/event-stream; event=map"), (MissedEvent = "text/event-stream; event=missed"))),
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json")
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn events(
     State(app): State<App>,

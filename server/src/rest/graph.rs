@@ -1,7 +1,7 @@
-//! What ties key frames to one another, as one JSON object that is made while it is sent.
+//! What ties keyframes to one another, as one JSON object that is made while it is sent.
 
 use super::extract::Params;
-use super::{App, Problem};
+use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::maps::{Edge, GraphKind, GraphQuery, Node};
 use crate::model::Scale;
@@ -14,7 +14,7 @@ use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-/// Key frames and what ties them.
+/// Keyframes and what ties them.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(super) struct Graph {
     /// The session.
@@ -23,9 +23,9 @@ pub(super) struct Graph {
     kind: GraphKind,
     /// What a length of 1 means.
     scale: Scale,
-    /// The key frames in the order of their ids.
+    /// The keyframes in the order of their ids.
     nodes: Vec<Node>,
-    /// The ties; of the primitives' graph in the order of the primitives' ids, otherwise of the key frames'.
+    /// The ties; of the primitives' graph in the order of the primitives' ids, otherwise of the keyframes'.
     edges: Vec<Edge>,
 }
 
@@ -37,19 +37,19 @@ pub(super) struct Wanted {
     /// Which graph.
     #[param(inline)]
     kind: GraphKind,
-    /// Ties of this key frame only.
+    /// Ties of this keyframe only.
     keyframe_id: Option<u64>,
-    /// Ties between key frames that share at least so many landmarks only. The spanning tree is whole all the
+    /// Ties between keyframes that share at least so many landmarks only. The spanning tree is whole all the
     /// same.
     min_weight: u32,
 }
 
-/// The session's graph of key frames, as of the last commit.
+/// The session's graph of keyframes, as of the last commit.
 #[utoipa::path(get, path = "/v1/sessions/{id}/graph", tag = "maps",
     params(("id", description = "The session's id"), Wanted), responses(
     (status = 200, description = "The graph", body = Graph),
-    (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json")
+    (status = 400, description = "A parameter is wrong", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn graph(
     State(app): State<App>,

@@ -1,7 +1,7 @@
-//! Key frames and their images.
+//! Keyframes and their images.
 
 use super::extract::{NoConditions, PageParams, Paged};
-use super::{App, Problem};
+use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::ids::parse_id;
 use crate::maps::Keyframe;
@@ -14,23 +14,23 @@ use axum::response::IntoResponse;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// Some key frames in the order of their ids.
+/// Some keyframes in the order of their ids.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(super) struct KeyframePage {
     /// What a length of 1 means.
     scale: Scale,
-    /// The key frames.
+    /// The keyframes.
     keyframes: Vec<Keyframe>,
     /// Where the next page begins; `null` on the last.
     next_page_token: Option<String>,
 }
 
-/// Key frames in the order of their ids.
+/// Keyframes in the order of their ids.
 #[utoipa::path(get, path = "/v1/sessions/{id}/keyframes", tag = "maps",
     params(("id", description = "The session's id"), PageParams), responses(
-    (status = 200, description = "A page of key frames", body = KeyframePage),
-    (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json")
+    (status = 200, description = "A page of keyframes", body = KeyframePage),
+    (status = 400, description = "A parameter is wrong", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn list(
     State(app): State<App>,
@@ -43,11 +43,11 @@ pub(super) async fn list(
     Ok(Json(KeyframePage { scale, keyframes: page.items, next_page_token: page.next_page_token }))
 }
 
-/// A key frame.
+/// A keyframe.
 #[utoipa::path(get, path = "/v1/sessions/{id}/keyframes/{kf}", tag = "maps",
-    params(("id", description = "The session's id"), ("kf", description = "The key frame's id")), responses(
-    (status = 200, description = "The key frame", body = Keyframe),
-    (status = 404, description = "No such key frame", body = Problem, content_type = "application/problem+json")
+    params(("id", description = "The session's id"), ("kf", description = "The keyframe's id")), responses(
+    (status = 200, description = "The keyframe", body = Keyframe),
+    (status = 404, description = "No such keyframe", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn get(
     State(app): State<App>,
@@ -57,11 +57,11 @@ pub(super) async fn get(
     Ok(Json(app.service.maps().keyframe(&id, parse_id("kf", &kf)?).await?))
 }
 
-/// A key frame's image, as it was sent; pixels sent raw come as PNG.
+/// A keyframe's image, as it was sent; pixels sent raw come as PNG.
 #[utoipa::path(get, path = "/v1/sessions/{id}/keyframes/{kf}/image", tag = "maps",
-    params(("id", description = "The session's id"), ("kf", description = "The key frame's id")), responses(
+    params(("id", description = "The session's id"), ("kf", description = "The keyframe's id")), responses(
     (status = 200, description = "The image", content((Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg"))),
-    (status = 404, description = "No such image", body = Problem, content_type = "application/problem+json")
+    (status = 404, description = "No such image", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn image(
     State(app): State<App>,

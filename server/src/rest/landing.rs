@@ -23,7 +23,7 @@ pub(super) async fn page(State(app): State<App>) -> Result<Html<String>, ApiErro
         return Ok(Html(html));
     }
     html.push_str(
-        "<table><tr><th>session<th>state<th>frames<th>key frames<th>points<th>in memory<th>trajectory",
+        "<table><tr><th>session<th>state<th>frames<th>keyframes<th>points<th>in memory<th>trajectory",
     );
     list.items.iter().for_each(|session| push_row(&mut html, session));
     html.push_str("</table>");

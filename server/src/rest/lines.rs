@@ -2,7 +2,7 @@
 
 use super::extract::{PageParams, Paged};
 use super::place::parse_place;
-use super::{App, Problem};
+use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::ids::checked_id;
 use crate::maps::{Line, LineQuery};
@@ -38,7 +38,7 @@ pub(super) struct Conditions {
     near: Option<String>,
     /// How far from `near`.
     radius: Option<f64>,
-    /// Lines seen by at least so many key frames.
+    /// Lines seen by at least so many keyframes.
     min_observations: u32,
     /// Lines in this submap.
     submap_id: Option<u32>,
@@ -61,8 +61,8 @@ impl Conditions {
 #[utoipa::path(get, path = "/v1/sessions/{id}/lines", tag = "maps",
     params(("id", description = "The session's id"), Conditions, PageParams), responses(
     (status = 200, description = "A page of lines", body = LinePage),
-    (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json")
+    (status = 400, description = "A parameter is wrong", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn list(
     State(app): State<App>,

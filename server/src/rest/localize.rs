@@ -1,6 +1,6 @@
 //! One image against a stored map.
 
-use super::{App, Problem};
+use super::{App, ProblemDetails};
 use crate::error::{ApiError, ErrorCode};
 use crate::model::{Pose, Scale, State as TrackingState, Units};
 use crate::session::{Encoding, Located, SentImage, SessionId};
@@ -68,10 +68,10 @@ impl From<Located> for Location {
         size of the session's camera"),
     responses(
     (status = 200, description = "Where it was taken, or why that is not known", body = Location),
-    (status = 400, description = "The image cannot be used", body = Problem, content_type = "application/problem+json"),
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
-    (status = 413, description = "The image is too large", body = Problem, content_type = "application/problem+json"),
-    (status = 429, description = "Too many wait", body = Problem, content_type = "application/problem+json")
+    (status = 400, description = "The image cannot be used", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 413, description = "The image is too large", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 429, description = "Too many wait", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn localize(
     State(app): State<App>,
@@ -94,5 +94,5 @@ pub(super) async fn localize(
         ApiError::invalid("body", rejection.body_text())
     })?;
     let image = SentImage { encoding, width: 0, height: 0, row_stride: 0, data };
-    Ok(Json(app.service.localise(&id, image).await?.into()))
+    Ok(Json(app.service.localize(&id, image).await?.into()))
 }

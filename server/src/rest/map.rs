@@ -1,7 +1,7 @@
 //! The whole map as a file.
 
 use super::extract::Params;
-use super::{App, Problem};
+use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::maps::{ColmapPart, MapFormat};
 use crate::session::SessionId;
@@ -20,7 +20,7 @@ pub(super) enum Format {
     /// Polygon file (ASCII): points as vertices, lines as edges between two vertices each.
     #[default]
     Ply,
-    /// One object with key frames, points, lines and primitives.
+    /// One object with keyframes, points, lines and primitives.
     Json,
     /// COLMAP's text model, one `part` at a time.
     Colmap,
@@ -32,7 +32,7 @@ pub(super) enum Part {
     /// `cameras.txt`: the session's camera.
     #[serde(rename = "cameras")]
     Cameras,
-    /// `images.txt`: key frames with their keypoints.
+    /// `images.txt`: keyframes with their keypoints.
     #[serde(rename = "images")]
     Images,
     /// `points3D.txt`: points with who sees them.
@@ -49,13 +49,13 @@ pub(super) struct Wanted {
     #[param(inline)]
     format: Format,
     /// COLMAP: which file of the model. COLMAP puts the origin at the corner of the top-left pixel, half a
-    /// pixel from where it is everywhere else here. Image names are `keyframe_` and the key frame's number
+    /// pixel from where it is everywhere else here. Image names are `keyframe_` and the keyframe's number
     /// with six digits; the images are at `…/keyframes/{kf}/image`. Reprojection errors are -1: not computed.
     /// Fetch the three parts while nobody streams: each is as of its own commit.
     #[param(inline)]
     part: Option<Part>,
     /// This submap only; submaps do not share a frame of reference. Left out, JSON has all of them, and the
-    /// others the one with the most key frames.
+    /// others the one with the most keyframes.
     submap_id: Option<u32>,
 }
 
@@ -64,8 +64,8 @@ pub(super) struct Wanted {
     params(("id", description = "The session's id"), Wanted), responses(
     (status = 200, description = "The map", content(
         (String = "application/octet-stream"), (String = "text/plain"), (String = "application/json"))),
-    (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json")
+    (status = 400, description = "A parameter is wrong", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn map(
     State(app): State<App>,

@@ -32,7 +32,7 @@ use utoipa_axum::routes;
 
 pub use crate::model::{Camera, Pose, State};
 pub use model::{Session, SessionPage};
-pub use problem::{Problem, Violation};
+pub use problem::{ProblemDetails, Violation};
 pub use trajectory::{Format, TrajectoryWriter};
 
 /// Largest request body but for images: requests are a calibration and a few options.

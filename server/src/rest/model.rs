@@ -60,7 +60,7 @@ pub struct Session {
     pub metres_per_unit: Option<f64>,
     /// Frames of the trajectory.
     pub n_frames: u64,
-    /// Key frames.
+    /// Keyframes.
     pub n_keyframes: u64,
     /// Points.
     pub n_points: u64,
@@ -68,7 +68,7 @@ pub struct Session {
     pub n_lines: u64,
     /// Global primitives.
     pub n_primitives: u64,
-    /// Submaps that have key frames.
+    /// Submaps that have keyframes.
     pub n_submaps: u32,
     /// Every frame up to this one is in the database; `null` before the first.
     pub durable_sequence: Option<u64>,

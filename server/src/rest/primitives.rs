@@ -1,7 +1,7 @@
-//! Global primitives: the directions that key frames share.
+//! Global primitives: the directions that keyframes share.
 
 use super::extract::{PageParams, Paged};
-use super::{App, Problem};
+use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::ids::parse_id;
 use crate::maps::{Primitive, PrimitiveDetail};
@@ -34,8 +34,8 @@ pub(super) struct Conditions {
 #[utoipa::path(get, path = "/v1/sessions/{id}/primitives", tag = "maps",
     params(("id", description = "The session's id"), Conditions, PageParams), responses(
     (status = 200, description = "A page of primitives", body = PrimitivePage),
-    (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json")
+    (status = 400, description = "A parameter is wrong", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn list(
     State(app): State<App>,
@@ -47,11 +47,11 @@ pub(super) async fn list(
     Ok(Json(PrimitivePage { primitives: page.items, next_page_token: page.next_page_token }))
 }
 
-/// A global primitive with the key frames it ties and the lines that have its direction.
+/// A global primitive with the keyframes it ties and the lines that have its direction.
 #[utoipa::path(get, path = "/v1/sessions/{id}/primitives/{p}", tag = "maps",
     params(("id", description = "The session's id"), ("p", description = "The primitive's id")), responses(
     (status = 200, description = "The primitive", body = PrimitiveDetail),
-    (status = 404, description = "No such primitive", body = Problem, content_type = "application/problem+json")
+    (status = 404, description = "No such primitive", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn get(
     State(app): State<App>,

@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 /// What went wrong (RFC 9457).
 #[derive(Clone, Debug, Serialize, ToSchema)]
-pub struct Problem {
+pub struct ProblemDetails {
     /// Names the kind of problem; the end is `code`.
     #[serde(rename = "type")]
     #[schema(example = "urn:monoslam:error:SESSION_NOT_FOUND")]
@@ -36,7 +36,7 @@ pub struct Violation {
     pub description: String,
 }
 
-impl From<ApiError> for Problem {
+impl From<ApiError> for ProblemDetails {
     fn from(error: ApiError) -> Self {
         let ApiError { code, message, violations } = error;
         Self {
@@ -56,7 +56,7 @@ impl From<ApiError> for Problem {
 impl IntoResponse for ApiError {
     fn into_response(self) -> Response {
         let status = self.code.http();
-        let body = serde_json::to_vec(&Problem::from(self)).unwrap_or_default();
+        let body = serde_json::to_vec(&ProblemDetails::from(self)).unwrap_or_default();
         (status, [(CONTENT_TYPE, "application/problem+json")], body).into_response()
     }
 }

@@ -2,7 +2,7 @@
 
 use super::extract::{Body, NoConditions, PageParams, Paged};
 use super::model::{CreateSession, Session, SessionPage, SetScale, UpdateSession};
-use super::{App, Problem};
+use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::session::SessionId;
 use axum::Json;
@@ -13,7 +13,7 @@ use axum::http::{HeaderName, StatusCode};
 /// Sessions in the order of their ids.
 #[utoipa::path(get, path = "/v1/sessions", tag = "sessions", params(PageParams), responses(
     (status = 200, description = "A page of sessions", body = SessionPage),
-    (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json")
+    (status = 400, description = "A parameter is wrong", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn list(
     State(app): State<App>,
@@ -27,9 +27,9 @@ pub(super) async fn list(
 /// Makes a session.
 #[utoipa::path(post, path = "/v1/sessions", tag = "sessions", request_body = CreateSession, responses(
     (status = 201, description = "The session", body = Session),
-    (status = 400, description = "A field is wrong", body = Problem, content_type = "application/problem+json"),
-    (status = 409, description = "The id is taken", body = Problem, content_type = "application/problem+json"),
-    (status = 429, description = "Too many sessions", body = Problem, content_type = "application/problem+json")
+    (status = 400, description = "A field is wrong", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 409, description = "The id is taken", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 429, description = "Too many sessions", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn create(
     State(app): State<App>,
@@ -43,7 +43,7 @@ pub(super) async fn create(
 /// A session.
 #[utoipa::path(get, path = "/v1/sessions/{id}", tag = "sessions", params(("id", description = "The session's id")), responses(
     (status = 200, description = "The session", body = Session),
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json")
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn get(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Session>, ApiError> {
     Ok(Json(app.service.get_session(&SessionId::parse(&id, "id")?).await?.into()))
@@ -53,9 +53,9 @@ pub(super) async fn get(State(app): State<App>, Path(id): Path<String>) -> Resul
 #[utoipa::path(patch, path = "/v1/sessions/{id}", tag = "sessions", params(("id", description = "The session's id")),
     request_body = UpdateSession, responses(
     (status = 200, description = "The session", body = Session),
-    (status = 400, description = "A field is wrong", body = Problem, content_type = "application/problem+json"),
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
-    (status = 409, description = "A writer is connected", body = Problem, content_type = "application/problem+json")
+    (status = 400, description = "A field is wrong", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 409, description = "A writer is connected", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn update(
     State(app): State<App>,
@@ -70,8 +70,8 @@ pub(super) async fn update(
 #[utoipa::path(post, path = "/v1/sessions/{id}/scale", tag = "maps", params(("id", description = "The session's id")),
     request_body = SetScale, responses(
     (status = 200, description = "The session", body = Session),
-    (status = 400, description = "The number is wrong", body = Problem, content_type = "application/problem+json"),
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json")
+    (status = 400, description = "The number is wrong", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn scale(
     State(app): State<App>,
@@ -85,19 +85,19 @@ pub(super) async fn scale(
 /// Adjusts the whole map. Not in this version.
 #[utoipa::path(post, path = "/v1/sessions/{id}/optimize", tag = "maps",
     params(("id", description = "The session's id")), responses(
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
-    (status = 501, description = "Not in this version", body = Problem, content_type = "application/problem+json")
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 501, description = "Not in this version", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn optimize(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
-    app.service.optimise(&SessionId::parse(&id, "id")?).await?;
+    app.service.optimize(&SessionId::parse(&id, "id")?).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
 /// Deletes a session with its map.
 #[utoipa::path(delete, path = "/v1/sessions/{id}", tag = "sessions", params(("id", description = "The session's id")), responses(
     (status = 204, description = "It is gone"),
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
-    (status = 409, description = "A writer is connected", body = Problem, content_type = "application/problem+json")
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 409, description = "A writer is connected", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
     app.service.delete_session(&SessionId::parse(&id, "id")?).await?;

@@ -1,6 +1,6 @@
 //! Health, readiness and metrics.
 
-use super::{App, Problem};
+use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::page::PageRequest;
 use axum::extract::State;
@@ -16,7 +16,7 @@ pub(super) async fn healthz() -> &'static str {
 /// Whether requests are taken: the database answers and the server is not about to stop.
 #[utoipa::path(get, path = "/readyz", tag = "system", responses(
     (status = 200, description = "They are", body = String),
-    (status = 503, description = "They are not", body = Problem, content_type = "application/problem+json")
+    (status = 503, description = "They are not", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn readyz(State(app): State<App>) -> Result<&'static str, ApiError> {
     app.service.registry().check_open()?;

@@ -1,7 +1,7 @@
 //! Trajectories in the formats of the trade, streamed.
 
 use super::extract::Params;
-use super::{App, Problem};
+use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::maps::{SubmapChoice, TrajectoryKind, TrajectoryPose, TrajectoryQuery};
 use crate::model::{Pose, Scale, State as TrackingState};
@@ -41,7 +41,7 @@ pub(super) enum Kind {
     /// Every frame with a pose.
     #[default]
     Frames,
-    /// Key frames.
+    /// Keyframes.
     Keyframes,
 }
 
@@ -70,8 +70,8 @@ pub(super) struct Wanted {
     params(("id", description = "The session's id"), Wanted), responses(
     (status = 200, description = "The trajectory", content(
         (String = "text/plain"), (String = "text/csv"), (String = "application/json"))),
-    (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
-    (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json")
+    (status = 400, description = "A parameter is wrong", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn trajectory(
     State(app): State<App>,

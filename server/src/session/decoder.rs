@@ -15,7 +15,7 @@ pub enum Decoded {
     Frame {
         /// The frame for the engine.
         frame: slam::Frame,
-        /// The image as it was sent, to be kept with a key frame.
+        /// The image as it was sent, to be kept with a keyframe.
         sent: SentImage,
         /// When it arrived.
         arrived: Instant,
@@ -64,7 +64,7 @@ pub struct ImageRefusal {
     pub code: &'static str,
 }
 
-/// The grey image that was sent.
+/// The gray image that was sent.
 ///
 /// # Errors
 /// If it cannot be decoded or is larger than is accepted.

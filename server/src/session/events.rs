@@ -27,9 +27,9 @@ pub enum SessionEvent {
 /// In which way a map was changed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MapChange {
-    /// Key frames that are new, moved, or see other landmarks than before.
+    /// Keyframes that are new, moved, or see other landmarks than before.
     pub changed_keyframes: Vec<KeyframeId>,
-    /// Key frames that were removed.
+    /// Keyframes that were removed.
     pub removed_keyframes: Vec<KeyframeId>,
     /// Points that are new or changed, and points that were removed.
     pub n_points: [usize; 2],
@@ -39,7 +39,7 @@ pub struct MapChange {
     pub changed_primitives: Vec<PrimitiveId>,
     /// Global primitives that were removed.
     pub removed_primitives: Vec<PrimitiveId>,
-    /// Key frames, points, lines and primitives the map has now.
+    /// Keyframes, points, lines and primitives the map has now.
     pub totals: [usize; 4],
 }
 

@@ -1,6 +1,6 @@
-//! The images of frames that may become key frames, until the map says which did.
+//! The images of frames that may become keyframes, until the map says which did.
 //!
-//! The engine decides about key frames after the frame was handed in: the first map is made from earlier
+//! The engine decides about keyframes after the frame was handed in: the first map is made from earlier
 //! views, and mapping may run behind tracking. So images of candidates are held, by reference, within bounds.
 
 use super::frame::{Encoding, SentImage};
@@ -24,7 +24,7 @@ pub struct CandidateImages {
 }
 
 impl CandidateImages {
-    /// Holds a frame's image if the frame is or may yet become a key frame; the oldest go when there are too
+    /// Holds a frame's image if the frame is or may yet become a keyframe; the oldest go when there are too
     /// many.
     pub fn offer(&mut self, sequence: u64, image: SentImage, state: FrameState, is_keyframe: bool) {
         if state == FrameState::Tracked && !is_keyframe {
@@ -38,7 +38,7 @@ impl CandidateImages {
         }
     }
 
-    /// The images of the key frames that are new in an update.
+    /// The images of the keyframes that are new in an update.
     pub fn take_for(&mut self, update: &MapUpdate) -> Vec<(KeyframeId, SentImage)> {
         let changed = update.changes.keyframes.iter().filter_map(|id| update.map.keyframe(*id));
         changed.filter_map(|keyframe| Some((keyframe.id, self.take(keyframe.sequence)?))).collect()
@@ -52,7 +52,7 @@ impl CandidateImages {
     }
 }
 
-/// The image of a key frame as a file to be stored: PNG and JPEG as they were sent, pixels as PNG.
+/// The image of a keyframe as a file to be stored: PNG and JPEG as they were sent, pixels as PNG.
 ///
 /// `None` if the pixels do not fit the size, which the decoder would have refused before.
 pub fn to_file(keyframe: KeyframeId, image: &SentImage) -> Option<KeyframeImage> {

@@ -4,7 +4,7 @@ use slam::FrameReport;
 use std::collections::VecDeque;
 
 /// Answers kept. A client repeats at most what was under way when its connection broke: a few queued frames,
-/// or, if it goes back to the last saved frame, those of about one key frame.
+/// or, if it goes back to the last saved frame, those of about one keyframe.
 const CAPACITY: usize = 512;
 
 /// See the module's documentation.

@@ -14,7 +14,7 @@ pub struct Live {
     pub last_frame: Option<(u64, i64)>,
     /// Frames tracked since the session was loaded.
     pub n_frames: u64,
-    /// Key frames in the map.
+    /// Keyframes in the map.
     pub n_keyframes: usize,
     /// Points in the map.
     pub n_points: usize,
@@ -52,7 +52,7 @@ pub struct SessionView {
     pub metres_per_unit: Option<f64>,
     /// Frames of the trajectory.
     pub n_frames: u64,
-    /// Key frames.
+    /// Keyframes.
     pub n_keyframes: u64,
     /// Points.
     pub n_points: u64,
@@ -60,7 +60,7 @@ pub struct SessionView {
     pub n_lines: u64,
     /// Global primitives.
     pub n_primitives: u64,
-    /// Submaps that have key frames.
+    /// Submaps that have keyframes.
     pub n_submaps: u32,
     /// Every frame up to this one is in the database.
     pub durable_sequence: Option<u64>,

@@ -90,7 +90,7 @@ pub struct Persistence {
 pub struct WorkerConfig {
     /// What images are accepted.
     pub decode_limits: DecodeLimits,
-    /// Keep the images of key frames.
+    /// Keep the images of keyframes.
     pub keep_images: bool,
     /// Time without a stream after which the session ends.
     pub idle_unload: Duration,

@@ -19,13 +19,13 @@ use tokio::sync::{Notify, watch};
 
 /// Updates a deterministic session may be ahead of the disk before it waits. Others merge into one.
 const MAX_UPDATES_AHEAD: usize = 16;
-/// Bytes of key frames' images that wait to be saved, at most; further ones are left out with a warning.
+/// Bytes of keyframes' images that wait to be saved, at most; further ones are left out with a warning.
 /// Poses and landmarks are never left out.
 const MAX_WAITING_IMAGE_BYTES: usize = 128 << 20;
 
 /// Where updates are saved.
 pub trait Sink: Send + Sync + 'static {
-    /// Saves an update with images of key frames as one transaction: all of it or nothing.
+    /// Saves an update with images of keyframes as one transaction: all of it or nothing.
     fn commit(
         &self,
         update: &MapUpdate,
@@ -121,7 +121,7 @@ impl Outbox {
         if waiting.image_bytes + n_bytes > MAX_WAITING_IMAGE_BYTES {
             tracing::warn!(
                 n_images = images.len(),
-                "images of key frames are left out: saving is too far behind"
+                "images of keyframes are left out: saving is too far behind"
             );
             images.clear();
         } else {

@@ -8,11 +8,11 @@ use std::collections::BTreeSet;
 use testkit::world::{Size, kf, map, parts, pt};
 
 const LONG: Size = Size { n_keyframes: 30, n_keypoints: 500, n_points: 2400 };
-/// Points that key frames 2 and 26 share since a loop was closed there, and 3 and 27: enough for a tie, and
+/// Points that keyframes 2 and 26 share since a loop was closed there, and 3 and 27: enough for a tie, and
 /// too few.
 const N_SHARED_ACROSS: [usize; 2] = [40, 20];
 
-/// A chain of key frames whose end sees the beginning again.
+/// A chain of keyframes whose end sees the beginning again.
 fn loop_world() -> MapParts {
     let mut world = parts(31, LONG);
     for (offset, n_shared) in N_SHARED_ACROSS.into_iter().enumerate() {
@@ -55,7 +55,7 @@ async fn the_essential_graph_is_the_engines() {
     assert_eq!(tie(2, 26).expect("a loop was closed")["weight"], N_SHARED_ACROSS[0]);
     assert!(tie(3, 27).is_none(), "too few points for a tie across time");
     let n_spanning = edges.iter().filter(|edge| edge["spanning"] == true).count();
-    assert_eq!(n_spanning, 29, "a tree over 30 key frames");
+    assert_eq!(n_spanning, 29, "a tree over 30 keyframes");
     let strong =
         edges.iter().filter(|edge| edge["spanning"] == false && edge["weight"].as_u64() >= Some(100));
     assert!(strong.count() > 0, "neighbours but one share a hundred points");

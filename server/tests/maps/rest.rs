@@ -83,7 +83,7 @@ async fn the_graph_of_primitives_tells_ties_with_and_without_overlap() {
     assert_eq!(
         spanning,
         [(1, 2), (2, 3), (3, 4), (4, 5), (5, 6)],
-        "a chain of key frames that share too little"
+        "a chain of keyframes that share too little"
     );
 }
 

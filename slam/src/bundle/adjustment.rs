@@ -1,4 +1,4 @@
-//! The optimisation problem of a part of the map, with the names of its variables.
+//! The optimization problem of a part of the map, with the names of its variables.
 
 use super::anchored_line::AnchoredLine;
 use super::factors::{LineReprojectionFactor, PointReprojectionFactor};
@@ -10,7 +10,7 @@ use geometry::{Direction, Line3, OrthonormalLine, Pose};
 use optim::{GroupId, Kernel, Manifold, Problem, SolverOptions, VariableId, chi2_95};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Which key frames and landmarks move, and which key frames hold them in place.
+/// Which keyframes and landmarks move, and which keyframes hold them in place.
 pub(crate) struct Scope {
     pub free: BTreeSet<KeyframeId>,
     pub fixed: BTreeSet<KeyframeId>,
@@ -105,7 +105,7 @@ impl Adjustment {
         self.problem.cost_of(self.point_group).robust + self.problem.cost_of(self.line_group).robust
     }
 
-    /// The present pose of a key frame of the scope.
+    /// The present pose of a keyframe of the scope.
     pub(super) fn pose(&self, id: KeyframeId) -> Option<Pose> {
         self.poses.get(&id).map(|variable| *self.problem.value(*variable))
     }
@@ -139,7 +139,7 @@ impl Adjustment {
         self.problem.enable_inliers(self.line_group, chi2_95(2));
     }
 
-    /// What came of it. Sightings that disagree with it are named.
+    /// What came of it. VisibilityCounts that disagree with it are named.
     pub fn result(&self) -> Adjusted {
         let value = |id: &KeyframeId| Some((*id, self.pose(*id)?));
         let disagrees = |chi2: Option<f64>| chi2.is_none_or(|chi2| chi2 > chi2_95(2));
@@ -169,7 +169,7 @@ impl Adjustment {
 /// What bundle adjustment found.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Adjusted {
-    /// `camera_from_world` of the key frames that were free to move.
+    /// `camera_from_world` of the keyframes that were free to move.
     pub poses: BTreeMap<KeyframeId, Pose>,
     points: Vec<(PointId, Vector3<f64>)>,
     point_outliers: Vec<(PointId, KeyframeId)>,

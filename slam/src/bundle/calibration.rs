@@ -26,7 +26,7 @@ pub(crate) struct Estimate {
 
 /// What makes a camera doubtful.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Doubt {
+pub(crate) struct IntrinsicsDoubt {
     /// How it seems to differ from the calibration.
     correction: PinholeCorrection,
     /// It seems to differ by more than a calibration can be wrong by.
@@ -35,11 +35,11 @@ pub(crate) struct Doubt {
 
 /// What the images say of the camera.
 #[derive(Clone, Debug)]
-pub(crate) enum Verdict {
+pub(crate) enum IntrinsicsFinding {
     /// Nothing against the present one.
     Confirmed,
     /// It may be another; the next look at it will tell.
-    Doubtful(Doubt),
+    Doubtful(IntrinsicsDoubt),
     /// It is another, to within the tolerance of the calibration.
     Refined(Estimate),
     /// It would have to be another beyond that, so that something else must be wrong with the calibration.
@@ -51,7 +51,7 @@ struct Calibration {
     poses: Vec<(KeyframeId, VariableId<Pose>)>,
     correction: VariableId<Vector3<f64>>,
     points: Vec<(PointId, VariableId<Vector3<f64>>)>,
-    sightings: GroupId<CalibratedReprojectionFactor>,
+    observations: GroupId<CalibratedReprojectionFactor>,
     prior: GroupId<CalibrationPriorFactor>,
 }
 
@@ -61,29 +61,29 @@ struct Calibration {
 /// Errors of keypoints that are not independent feign small errors of the camera, with a χ² that looks
 /// significant. They differ from one look to the next, while the camera stays the same: hence two looks have
 /// to agree, unless one is beyond doubt.
-pub(crate) fn examine(
+pub(crate) fn refine_intrinsics(
     map: &Map,
     submap: SubmapId,
-    before: Option<Doubt>,
+    before: Option<IntrinsicsDoubt>,
     config: &CalibrationConfig,
     aborted: impl Fn() -> bool + Copy,
-) -> Option<Verdict> {
+) -> Option<IntrinsicsFinding> {
     let estimate = estimate(map, submap, config, aborted)?;
     let Estimate { correction, gain, conflict, unheld, .. } = &estimate;
     tracing::debug!(%submap, ?correction, gain, conflict, ?unheld, "camera that explains the submap best");
-    let agrees = |before: Doubt| {
+    let agrees = |before: IntrinsicsDoubt| {
         let (before, now) = (vector_of(&before.correction), vector_of(correction));
         (now - before).norm() <= config.max_disagreement * now.norm()
     };
-    let doubt = Doubt { correction: *correction, is_contradiction: *conflict > chi2_95(3) };
+    let doubt = IntrinsicsDoubt { correction: *correction, is_contradiction: *conflict > chi2_95(3) };
     Some(if *gain < config.min_gain {
-        Verdict::Confirmed
+        IntrinsicsFinding::Confirmed
     } else if doubt.is_contradiction && before.is_some_and(|before| before.is_contradiction) {
-        Verdict::Contradicted(*unheld)
+        IntrinsicsFinding::Contradicted(*unheld)
     } else if !doubt.is_contradiction && (*gain >= config.certain_gain || before.is_some_and(agrees)) {
-        Verdict::Refined(estimate)
+        IntrinsicsFinding::Refined(estimate)
     } else {
-        Verdict::Doubtful(doubt)
+        IntrinsicsFinding::Doubtful(doubt)
     })
 }
 
@@ -98,7 +98,7 @@ fn estimate(
     // First all that the present camera can do, so that the difference is the camera's.
     calibration.problem.set_fixed(calibration.correction, true);
     calibration.solve(config.max_iterations, aborted);
-    calibration.problem.enable_inliers(calibration.sightings, chi2_95(2));
+    calibration.problem.enable_inliers(calibration.observations, chi2_95(2));
     let present = calibration.solve(config.max_iterations, aborted);
     calibration.problem.set_fixed(calibration.correction, false);
     let held = calibration.solve(config.max_iterations, aborted);
@@ -119,7 +119,7 @@ impl Calibration {
         let mut poses = BTreeMap::new();
         for keyframe in map.keyframes_of(submap) {
             let variable = problem.add_variable(keyframe.camera_from_world);
-            // The oldest key frame settles position and attitude, and damping the scale.
+            // The oldest keyframe settles position and attitude, and damping the scale.
             problem.set_fixed(variable, poses.is_empty());
             poses.insert(keyframe.id, variable);
         }
@@ -142,11 +142,11 @@ impl Calibration {
                 factors.push(((*pose, correction, variable), factor));
             }
         }
-        let sightings = problem.add_factors(Kernel::huber_95(2), factors);
-        let (focal, centre) = (1.0 / config.focal_sigma, 1.0 / config.centre_sigma);
-        let prior = CalibrationPriorFactor { inverse_sigmas: Vector3::new(focal, centre, centre) };
+        let observations = problem.add_factors(Kernel::huber_95(2), factors);
+        let (focal, center) = (1.0 / config.focal_sigma, 1.0 / config.center_sigma);
+        let prior = CalibrationPriorFactor { inverse_sigmas: Vector3::new(focal, center, center) };
         let prior = problem.add_factors(Kernel::None, [((correction,), prior)]);
-        Self { problem, poses: poses.into_iter().collect(), correction, points, sightings, prior }
+        Self { problem, poses: poses.into_iter().collect(), correction, points, observations, prior }
     }
 
     /// Iterates, and says what cost remains.

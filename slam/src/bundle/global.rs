@@ -15,15 +15,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[derive(Clone, Debug, Default)]
 pub(crate) struct GlobalResult {
     submap: SubmapId,
-    /// The oldest key frame, which stays where it is.
+    /// The oldest keyframe, which stays where it is.
     fixed: Option<KeyframeId>,
     adjusted: Adjusted,
     /// The camera it was found with, if that is another than before.
     correction: Option<PinholeCorrection>,
 }
 
-/// Adjusts every key frame of a submap with the points and lines they see: all of it, then without the
-/// outliers, then with what primitives say of key frames that never saw the same place. `None` if `abort` was
+/// Adjusts every keyframe of a submap with the points and lines they see: all of it, then without the
+/// outliers, then with what primitives say of keyframes that never saw the same place. `None` if `abort` was
 /// set meanwhile or there is nothing to adjust.
 pub(crate) fn adjust(
     map: &Map,
@@ -32,7 +32,7 @@ pub(crate) fn adjust(
     abort: &AtomicBool,
 ) -> Option<GlobalResult> {
     let mut free: BTreeSet<KeyframeId> = map.keyframes_of(submap).map(|keyframe| keyframe.id).collect();
-    // The oldest key frame settles position and attitude, and damping the scale.
+    // The oldest keyframe settles position and attitude, and damping the scale.
     let fixed = free.pop_first()?;
     let scope = Scope {
         free,
@@ -76,8 +76,8 @@ pub(crate) fn adjust_to_camera(
 }
 
 impl GlobalResult {
-    /// Takes the result over. Key frames made since follow the one they hang on in the spanning tree, other
-    /// landmarks the key frame that made them.
+    /// Takes the result over. Keyframes made since follow the one they hang on in the spanning tree, other
+    /// landmarks the keyframe that made them.
     pub fn merge_into(self, map: &mut Map) {
         if let Some(correction) = self.correction {
             map.set_correction(correction);
@@ -93,7 +93,7 @@ impl GlobalResult {
         self.adjusted.write_into(map);
     }
 
-    /// The adjusted and the present pose of the key frame itself, or of the nearest one above it in the
+    /// The adjusted and the present pose of the keyframe itself, or of the nearest one above it in the
     /// spanning tree.
     fn nearest_adjusted(&self, map: &Map, keyframe: &Keyframe) -> Option<(Pose, Pose)> {
         let mut current = keyframe;

@@ -1,4 +1,4 @@
-//! Local bundle adjustment around a new key frame. [method: Local bundle adjustment]
+//! Local bundle adjustment around a new keyframe. [method: Local bundle adjustment]
 
 use super::adjustment::{Adjustment, Scope};
 use super::stage_two::StageTwo;
@@ -7,15 +7,15 @@ use crate::map::{Keyframe, KeyframeId, LineId, Map, PointId};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Moves the key frame, its neighbours and the landmarks they see; other key frames that see those stay where
-/// they are. Sightings that disagree in the end are removed. Stops early, with what is reached, when `abort`
+/// Moves the keyframe, its neighbors and the landmarks they see; other keyframes that see those stay where
+/// they are. VisibilityCounts that disagree in the end are removed. Stops early, with what is reached, when `abort`
 /// is set.
 ///
 /// Stage one moves them by points and lines alone. Stage two, where there are primitives in sight, adds what
-/// these say, and is taken back where it would turn the new key frame by more than its own uncertainty
+/// these say, and is taken back where it would turn the new keyframe by more than its own uncertainty
 /// allows.
-pub(crate) fn optimise(map: &mut Map, centre: KeyframeId, config: &SlamConfig, abort: &AtomicBool) {
-    let Some(scope) = scope_around(map, centre, &config.mapping) else { return };
+pub(crate) fn optimize(map: &mut Map, center: KeyframeId, config: &SlamConfig, abort: &AtomicBool) {
+    let Some(scope) = scope_around(map, center, &config.mapping) else { return };
     let aborted = || abort.load(Ordering::Relaxed);
     let mut adjustment = tracing::debug_span!("stage one").in_scope(|| {
         let mut adjustment = Adjustment::of(map, &scope);
@@ -32,19 +32,19 @@ pub(crate) fn optimise(map: &mut Map, centre: KeyframeId, config: &SlamConfig, a
     });
     if !aborted() {
         let added = tracing::debug_span!("stage two")
-            .in_scope(|| adjustment.add_primitives(map, &config.primitives, centre));
+            .in_scope(|| adjustment.add_primitives(map, &config.primitives, center));
         if added == StageTwo::Refused {
-            tracing::info!(keyframe = %centre, "primitives would turn the key frame too far: left out");
+            tracing::info!(keyframe = %center, "primitives would turn the keyframe too far: left out");
         }
     }
     adjustment.result().write_into(map);
 }
 
-fn scope_around(map: &Map, centre: KeyframeId, config: &MappingConfig) -> Option<Scope> {
-    let keyframe = map.keyframe(centre)?;
-    let neighbours = keyframe.covisible().iter().map(|(id, _)| *id);
+fn scope_around(map: &Map, center: KeyframeId, config: &MappingConfig) -> Option<Scope> {
+    let keyframe = map.keyframe(center)?;
+    let neighbors = keyframe.covisible().iter().map(|(id, _)| *id);
     let mut free: BTreeSet<KeyframeId> =
-        std::iter::once(centre).chain(neighbours).take(config.max_local_keyframes).collect();
+        std::iter::once(center).chain(neighbors).take(config.max_local_keyframes).collect();
     let in_window = || free.iter().filter_map(|id| map.keyframe(*id));
     let points: BTreeSet<PointId> =
         in_window().flat_map(Keyframe::observed_points).map(|(_, id)| id).collect();
@@ -61,7 +61,7 @@ fn scope_around(map: &Map, centre: KeyframeId, config: &MappingConfig) -> Option
     let mut fixed: BTreeSet<KeyframeId> =
         ranked.into_iter().take(config.max_fixed_keyframes).map(|(id, _)| id).collect();
 
-    // A young map is all window: its oldest key frame settles position and attitude, and damping the scale.
+    // A young map is all window: its oldest keyframe settles position and attitude, and damping the scale.
     // To fix a second one would keep the errors of the first two views for good.
     if fixed.is_empty() {
         let oldest = free.pop_first()?;

@@ -13,6 +13,6 @@ pub(super) type VanishingSighting = ((VariableId<Pose>, VariableId<Direction>), 
 pub(super) struct PrimitiveTerms {
     pub variables: Vec<(PrimitiveId, VariableId<Direction>)>,
     pub priors: GroupId<DirectionPriorFactor>,
-    pub sightings: GroupId<VanishingReprojectionFactor>,
+    pub observations: GroupId<VanishingReprojectionFactor>,
     pub parallels: GroupId<StructuralConsistencyFactor>,
 }

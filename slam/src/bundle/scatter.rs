@@ -64,7 +64,7 @@ mod tests {
         features
     }
 
-    /// The factor of a primitive along x that key frames show one after the other, each with ends as far off
+    /// The factor of a primitive along x that keyframes show one after the other, each with ends as far off
     /// as is said.
     fn factor(off_sigmas: &[f64], config: &PrimitiveConfig) -> f64 {
         let mut map = Map::default();

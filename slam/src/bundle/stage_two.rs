@@ -21,7 +21,7 @@ pub(crate) enum StageTwo {
     NothingToAdd,
     /// The result includes the primitives.
     Added,
-    /// The primitives would have turned the key frame more than its own uncertainty allows: they were left
+    /// The primitives would have turned the keyframe more than its own uncertainty allows: they were left
     /// out.
     Refused,
 }
@@ -34,7 +34,7 @@ const ASLEEP_SIGMA_RAD: f64 = 1.0;
 const MIN_RELATIVE_DECREASE: f64 = 1e-4;
 
 impl Adjustment {
-    /// Enters the primitives that the free key frames show, for [`add_primitives`](Self::add_primitives)
+    /// Enters the primitives that the free keyframes show, for [`add_primitives`](Self::add_primitives)
     /// later.
     pub fn expect_primitives(&mut self, map: &Map, config: &PrimitiveConfig) {
         let in_sight = self.primitives_in_sight(map);
@@ -45,31 +45,31 @@ impl Adjustment {
         }
     }
 
-    /// Goes on from the present state with what the primitives say. If that turns `centre` by more than its
-    /// uncertainty allows, everything is put back, and `centre` shows none of its primitives any more.
+    /// Goes on from the present state with what the primitives say. If that turns `center` by more than its
+    /// uncertainty allows, everything is put back, and `center` shows none of its primitives any more.
     pub fn add_primitives(
         &mut self,
         map: &mut Map,
         config: &PrimitiveConfig,
-        centre: KeyframeId,
+        center: KeyframeId,
     ) -> StageTwo {
         let Some(terms) = self.primitives.take() else { return StageTwo::NothingToAdd };
-        let outcome = self.second_stage(&terms, config, centre);
+        let outcome = self.second_stage(&terms, config, center);
         self.primitives = Some(terms);
         if outcome == StageTwo::Refused {
             let shown: Vec<PrimitiveId> = map
-                .keyframe(centre)
+                .keyframe(center)
                 .into_iter()
                 .flat_map(|keyframe| &keyframe.vanishing)
                 .filter_map(|vanishing| vanishing.primitive)
                 .collect();
-            shown.into_iter().for_each(|primitive| map.remove_primitive_observation(primitive, centre));
+            shown.into_iter().for_each(|primitive| map.remove_primitive_observation(primitive, center));
         }
         outcome
     }
 
-    /// As [`add_primitives`](Self::add_primitives) where every key frame is free to move: all is put back if
-    /// points and lines object more than they would to a turn of every key frame by as much as is allowed of
+    /// As [`add_primitives`](Self::add_primitives) where every keyframe is free to move: all is put back if
+    /// points and lines object more than they would to a turn of every keyframe by as much as is allowed of
     /// one.
     pub fn add_primitives_everywhere(
         &mut self,
@@ -94,7 +94,7 @@ impl Adjustment {
         &mut self,
         terms: &PrimitiveTerms,
         config: &PrimitiveConfig,
-        centre: KeyframeId,
+        center: KeyframeId,
     ) -> StageTwo {
         let before = self.state();
         let options = SolverOptions {
@@ -102,16 +102,16 @@ impl Adjustment {
             min_relative_decrease: MIN_RELATIVE_DECREASE,
             ..SolverOptions::default()
         };
-        // Of all ways to turn a key frame by n sigmas, the one that suits points and lines best raises their
+        // Of all ways to turn a keyframe by n sigmas, the one that suits points and lines best raises their
         // χ² by n²: a smaller rise needs no covariance to be let pass.
         let rise = self.solve_with_primitives(terms, &options, || false);
         if rise <= config.max_turn_sigmas.powi(2) {
             return StageTwo::Added;
         }
-        let (after, turned) = (self.state(), self.pose(centre));
+        let (after, turned) = (self.state(), self.pose(center));
         self.restore(before);
         self.wake(terms, false);
-        let n_sigmas = turned.and_then(|turned| self.sigmas_of_turn(centre, &turned));
+        let n_sigmas = turned.and_then(|turned| self.sigmas_of_turn(center, &turned));
         if n_sigmas.is_some_and(|n_sigmas| n_sigmas > config.max_turn_sigmas) {
             return StageTwo::Refused;
         }
@@ -134,11 +134,11 @@ impl Adjustment {
 
     fn wake(&mut self, terms: &PrimitiveTerms, awake: bool) {
         self.problem.set_group_enabled(terms.priors, awake);
-        self.problem.set_group_enabled(terms.sightings, awake);
+        self.problem.set_group_enabled(terms.observations, awake);
         self.problem.set_group_enabled(terms.parallels, awake);
     }
 
-    /// By how many standard deviations of its attitude at the present state another pose of a key frame is
+    /// By how many standard deviations of its attitude at the present state another pose of a keyframe is
     /// turned.
     fn sigmas_of_turn(&mut self, id: KeyframeId, turned: &Pose) -> Option<f64> {
         let (pose, covariance) = self.attitude(id)?;
@@ -146,7 +146,7 @@ impl Adjustment {
         Some(turn.dot(&(covariance.try_inverse()? * turn)).max(0.0).sqrt())
     }
 
-    /// Pose and covariance of the attitude of a free key frame at the present state.
+    /// Pose and covariance of the attitude of a free keyframe at the present state.
     fn attitude(&mut self, id: KeyframeId) -> Option<(Pose, Matrix3<f64>)> {
         let pose = self.pose(id)?;
         let variable = self.free.contains(&id).then(|| self.poses.get(&id).copied())??;
@@ -170,7 +170,7 @@ impl Adjustment {
         in_sight: &[PrimitiveId],
         config: &PrimitiveConfig,
     ) -> PrimitiveTerms {
-        let (mut asleep, mut priors, mut sightings) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut asleep, mut priors, mut observations) = (Vec::new(), Vec::new(), Vec::new());
         let mut variables: BTreeMap<PrimitiveId, VariableId<Direction>> = BTreeMap::new();
         for primitive in in_sight.iter().filter_map(|id| map.primitive(*id)) {
             let variable = self.problem.add_variable(primitive.direction);
@@ -179,7 +179,7 @@ impl Adjustment {
             let known = primitive.direction;
             asleep.push(((variable,), DirectionPriorFactor { known, square_root_information }));
             priors.extend(self.outside_prior(map, primitive).map(|prior| ((variable,), prior)));
-            self.collect_sightings(map, primitive, variable, config, &mut sightings);
+            self.collect_sightings(map, primitive, variable, config, &mut observations);
         }
         let inverse_sigma = 1.0 / config.line_sigma_deg.to_radians();
         let parallel = |id: &LineId, line: &VariableId<OrthonormalLine>| {
@@ -192,12 +192,12 @@ impl Adjustment {
             variables: variables.into_iter().collect(),
             priors: self.problem.add_factors(Kernel::None, priors),
             // Wrong associations would tie places together that have nothing to do with one another.
-            sightings: self.problem.add_factors(Kernel::cauchy_95(), sightings),
+            observations: self.problem.add_factors(Kernel::cauchy_95(), observations),
             parallels: self.problem.add_factors(Kernel::cauchy_95(), parallels),
         }
     }
 
-    /// What key frames outside the problem say of a primitive. Those that hold the window in place are not
+    /// What keyframes outside the problem say of a primitive. Those that hold the window in place are not
     /// among them: points and lines take their attitudes for exact, and a primitive that trusted them less
     /// would bend the window.
     fn outside_prior(&self, map: &Map, primitive: &GlobalPrimitive) -> Option<DirectionPriorFactor> {
@@ -213,7 +213,7 @@ impl Adjustment {
         primitive: &GlobalPrimitive,
         variable: VariableId<Direction>,
         config: &PrimitiveConfig,
-        sightings: &mut Vec<VanishingSighting>,
+        observations: &mut Vec<VanishingSighting>,
     ) {
         let sigma_factor = segment_sigma_factor(map, primitive, config);
         for seen in &primitive.observations {
@@ -225,7 +225,7 @@ impl Adjustment {
             for segment in vanishing.segments.iter().map(|idx| &keyframe.features.lines[*idx as usize]) {
                 let pinhole = keyframe.features.pinhole;
                 let factor = VanishingReprojectionFactor::of(pinhole, segment, sigma_factor);
-                sightings.push(((*pose, variable), factor));
+                observations.push(((*pose, variable), factor));
             }
         }
     }

@@ -17,13 +17,13 @@ pub struct AlignmentConfig {
     pub max_patches: usize,
     /// Patches that must be visible in both images. Default 15.
     pub min_patches: usize,
-    /// Grey levels beyond which a pixel's residual counts less. Default 9.
-    pub huber_grey_levels: f64,
-    /// Mean difference up to which a patch is found again, grey levels. Default 15.
+    /// Gray levels beyond which a pixel's residual counts less. Default 9.
+    pub huber_gray_levels: f64,
+    /// Mean difference up to which a patch is found again, gray levels. Default 15.
     pub max_patch_difference: f64,
     /// Share of the patches that must be found again. Default 0.5.
     pub min_found_share: f64,
-    /// Steps of the optimiser on each level. Default 15.
+    /// Steps of the optimizer on each level. Default 15.
     pub max_iterations: usize,
 }
 
@@ -35,7 +35,7 @@ impl Default for AlignmentConfig {
             max_turn_deg: 20.0,
             max_patches: 200,
             min_patches: 15,
-            huber_grey_levels: 9.0,
+            huber_gray_levels: 9.0,
             max_patch_difference: 15.0,
             min_found_share: 0.5,
             max_iterations: 15,
@@ -57,7 +57,7 @@ impl AlignmentConfig {
         if !(0.0..=60.0).contains(&self.max_turn_deg) {
             return error("alignment.max_turn_deg", "must be between 0 and 60");
         }
-        if !(0.1..=255.0).contains(&self.huber_grey_levels) {
+        if !(0.1..=255.0).contains(&self.huber_gray_levels) {
             return error("alignment.huber_grey_levels", "must be between 0.1 and 255");
         }
         Ok(())

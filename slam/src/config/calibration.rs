@@ -11,13 +11,13 @@ pub struct CalibrationConfig {
     pub focal_sigma: f64,
     /// Standard deviation of the principal point as given, either way, in focal lengths. Default 0.01, for
     /// the same reasons.
-    pub centre_sigma: f64,
-    /// Key frames from which on it is tried. Default 10.
+    pub center_sigma: f64,
+    /// Keyframes from which on it is tried. Default 10.
     pub min_keyframes: usize,
-    /// It is tried again when there are this many times as many key frames. Default 1.5.
+    /// It is tried again when there are this many times as many keyframes. Default 1.5.
     pub growth: f64,
-    /// Key frames beyond which it is no longer tried. Default 60: the camera is known by then, and the time
-    /// that adjusting all key frames takes grows.
+    /// Keyframes beyond which it is no longer tried. Default 60: the camera is known by then, and the time
+    /// that adjusting all keyframes takes grows.
     pub max_keyframes: usize,
     /// Decrease of χ² from which on the camera is in doubt. Default 10: 170 looks at rendered cameras, which
     /// are exactly as given, brought 1 in the median and 10 to 21 in one of twenty; a camera off by 1 %, 15
@@ -37,7 +37,7 @@ pub struct CalibrationConfig {
 impl CalibrationConfig {
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
         let refuse = |field, reason: &str| Err(ConfigError { field, reason: reason.to_owned() });
-        if !(self.focal_sigma > 0.0 && self.centre_sigma > 0.0) {
+        if !(self.focal_sigma > 0.0 && self.center_sigma > 0.0) {
             return refuse("calibration.focal_sigma", "must be above 0, and calibration.centre_sigma too");
         }
         if self.min_keyframes < 3 {
@@ -57,7 +57,7 @@ impl Default for CalibrationConfig {
     fn default() -> Self {
         Self {
             focal_sigma: 0.01,
-            centre_sigma: 0.01,
+            center_sigma: 0.01,
             min_keyframes: 10,
             growth: 1.5,
             max_keyframes: 60,

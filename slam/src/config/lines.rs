@@ -48,10 +48,10 @@ pub struct LineConfig {
     pub max_depth_share: f64,
     /// A young line found in less than this share of the frames that should see it goes. Default 0.25.
     pub min_found_ratio: f64,
-    /// Key frames after which a line must have been seen by three. Default 3.
+    /// Keyframes after which a line must have been seen by three. Default 3.
     pub probation_keyframes: u64,
-    /// Neighbours whose lines are looked for in a new key frame, to be joined. Default 10.
-    pub n_fusion_neighbours: usize,
+    /// Neighbors whose lines are looked for in a new keyframe, to be joined. Default 10.
+    pub n_fusion_neighbors: usize,
     /// Largest angle between two lines that are joined, degrees. Default 5.
     pub fusion_angle_deg: f64,
     /// Largest distance of one line's projected ends from the other's projection to be joined, pixels.
@@ -79,7 +79,7 @@ impl Default for LineConfig {
             max_depth_share: 20.0,
             min_found_ratio: 0.25,
             probation_keyframes: 3,
-            n_fusion_neighbours: 10,
+            n_fusion_neighbors: 10,
             fusion_angle_deg: 5.0,
             fusion_distance_px: 2.0,
         }

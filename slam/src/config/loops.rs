@@ -4,16 +4,16 @@
 /// [method: Loop detection and correction]
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoopConfig {
-    /// Places looked at per key frame. Default 3: looking at one takes some milliseconds of the mapping
+    /// Places looked at per keyframe. Default 3: looking at one takes some milliseconds of the mapping
     /// thread.
     pub max_candidates: usize,
     /// Fewest descriptors that must vote for a place. Default 20: the geometry needs as many.
     pub min_votes: u32,
-    /// Least likeness of a place as a share of that of the most similar key frame around the new one. Default
+    /// Least likeness of a place as a share of that of the most similar keyframe around the new one. Default
     /// 0.2.
     pub min_score_share: f32,
-    /// Neighbours of the recognised key frame whose points are looked for too. Default 10.
-    pub n_window_neighbours: usize,
+    /// Neighbors of the recognized keyframe whose points are looked for too. Default 10.
+    pub n_window_neighbors: usize,
     /// Fewest pairs of points matched by their descriptors. Default 20.
     pub min_matches: usize,
     /// Iterations of the search for a similarity. Default 300.
@@ -26,12 +26,12 @@ pub struct LoopConfig {
     /// Radius in which points are looked for around where the similarity puts them, pixels of the level.
     /// Default 8, and half of it once the similarity is refined.
     pub search_radius_px: f64,
-    /// Fewest points of the recognised place that the new key frame must find. Default 45.
+    /// Fewest points of the recognized place that the new keyframe must find. Default 45.
     pub min_projected_matches: usize,
-    /// Share of the recognised place's points to be expected in the new key frame that it must find. Default
+    /// Share of the recognized place's points to be expected in the new keyframe that it must find. Default
     /// 0.25: true places have shown 0.26 to 0.60, corners of a corridor that look alike 0.11 to 0.18.
     pub min_found_share: f64,
-    /// Neighbours of the new key frame that must find points of the place too. Default 3, or all there are.
+    /// Neighbors of the new keyframe that must find points of the place too. Default 3, or all there are.
     pub n_confirmations: usize,
     /// Fewest points that each of them must find. Default 20.
     pub min_confirming_matches: usize,
@@ -45,9 +45,9 @@ pub struct LoopConfig {
     pub max_turn_deg: f64,
     /// Within one submap the largest change of scale by a correction, either way. Default 3.
     pub max_scale_change: f64,
-    /// Shared points that make two key frames neighbours in the essential graph. Default 100.
+    /// Shared points that make two keyframes neighbors in the essential graph. Default 100.
     pub min_essential_points: u32,
-    /// Iterations of the optimisation of the essential graph. Default 20.
+    /// Iterations of the optimization of the essential graph. Default 20.
     pub essential_iterations: usize,
     /// Iterations of the global bundle adjustment after a correction. Default 10.
     pub global_iterations: usize,
@@ -59,7 +59,7 @@ impl Default for LoopConfig {
             max_candidates: 3,
             min_votes: 20,
             min_score_share: 0.2,
-            n_window_neighbours: 10,
+            n_window_neighbors: 10,
             min_matches: 20,
             max_iterations: 300,
             min_first_inliers: 15,

@@ -33,11 +33,11 @@ pub enum Threading {
 /// What a session uses beside points: the ablation of Jiang et al..
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FeatureSwitches {
-    /// Line segments are tracked, mapped and optimised. Default on.
+    /// Line segments are tracked, mapped and optimized. Default on.
     pub lines: bool,
-    /// Vanishing directions are shared by key frames as global primitives; needs `lines`. Default on.
+    /// Vanishing directions are shared by keyframes as global primitives; needs `lines`. Default on.
     pub global_primitives: bool,
-    /// Places seen before are recognised: loops are closed and submaps merged. Default on.
+    /// Places seen before are recognized: loops are closed and submaps merged. Default on.
     pub loop_closing: bool,
     /// Self-calibration: focal length and principal point are checked and refined as the map grows. Default
     /// on.
@@ -65,11 +65,11 @@ pub struct SlamConfig {
     /// The extractor of points.
     pub orb: OrbConfig,
     /// Initialization: the first map.
-    pub initialisation: InitialisationConfig,
+    pub initialization: InitializationConfig,
     /// Tracking.
     pub tracking: TrackingConfig,
     /// Relocalization.
-    pub relocalisation: RelocalisationConfig,
+    pub relocalization: RelocalizationConfig,
     /// When a frame is kept.
     pub keyframes: KeyframeConfig,
     /// Extending the map.
@@ -98,9 +98,9 @@ impl Default for SlamConfig {
             features: FeatureSwitches::default(),
             working_width_px: 1280,
             orb: OrbConfig::default(),
-            initialisation: InitialisationConfig::default(),
+            initialization: InitializationConfig::default(),
             tracking: TrackingConfig::default(),
-            relocalisation: RelocalisationConfig::default(),
+            relocalization: RelocalizationConfig::default(),
             keyframes: KeyframeConfig::default(),
             mapping: MappingConfig::default(),
             lines: LineConfig::default(),
@@ -116,7 +116,7 @@ impl Default for SlamConfig {
 
 /// Initialization: the first map from two views.
 #[derive(Clone, Debug, PartialEq)]
-pub struct InitialisationConfig {
+pub struct InitializationConfig {
     /// Features asked of the extractor while there is no map. Default 2000: matches are scarce at first.
     pub n_features: usize,
     /// Fewest keypoints a usable view has. Default 100.
@@ -126,11 +126,11 @@ pub struct InitialisationConfig {
     /// Frames that are kept to be placed once the map is good enough. Default 150: five seconds of video, 25
     /// MB.
     pub max_backfill_views: usize,
-    /// Width of the key frames' positions as a share of the scene's median depth from which a map is good
+    /// Width of the keyframes' positions as a share of the scene's median depth from which a map is good
     /// enough to place older frames in, and those that were tracked in it while it was younger once more.
     /// Default 0.3: a map begun on few points believes to be wider than it is.
     pub mature_baseline_share: f64,
-    /// Key frames it must have as well. Default 5: how wide two views lie apart is known no better than their
+    /// Keyframes it must have as well. Default 5: how wide two views lie apart is known no better than their
     /// depths.
     pub mature_keyframes: usize,
     /// Pairs tried per frame: the widest usable baseline and shorter ones. Default 2, to bound the time.
@@ -160,7 +160,7 @@ pub struct InitialisationConfig {
     pub min_third_view_share: f64,
 }
 
-impl Default for InitialisationConfig {
+impl Default for InitializationConfig {
     fn default() -> Self {
         Self {
             n_features: 2000,
@@ -191,7 +191,7 @@ pub struct TrackingConfig {
     pub motion_search_radius_px: f64,
     /// Fewer matches than this by the motion model double the radius. Default 20.
     pub min_motion_matches: usize,
-    /// Fewest matches with the reference key frame. Default 15.
+    /// Fewest matches with the reference keyframe. Default 15.
     pub min_reference_matches: usize,
     /// Fewest landmarks that must agree with the first estimate of a pose. Default 6, as for a weak pose.
     pub min_first_inliers: usize,
@@ -202,7 +202,7 @@ pub struct TrackingConfig {
     pub max_view_angle_deg: f64,
     /// Best match's distance as a share of the second best's. Default 0.8.
     pub match_ratio: f32,
-    /// Key frames of the local map at most. Default 80.
+    /// Keyframes of the local map at most. Default 80.
     pub max_local_keyframes: usize,
     /// Landmarks that must agree for a good pose. Default 10: few edges and corners in general position
     /// determine a pose, and whether they do is judged by its uncertainty.
@@ -224,9 +224,9 @@ pub struct TrackingConfig {
     /// Largest standard deviation of a good pose's position, as a share of the scene's median depth. Default
     /// 0.01; textured places reach 0.0004.
     pub max_position_sigma_share: f64,
-    /// How many times as uncertain as a good pose that of a key frame may be. Default 1.5: where a camera
+    /// How many times as uncertain as a good pose that of a keyframe may be. Default 1.5: where a camera
     /// turns from a bare wall to new texture, the pose is weak until there are landmarks, and there are none
-    /// until there is a key frame.
+    /// until there is a keyframe.
     pub keyframe_sigma_factor: f64,
     /// How many times as uncertain a weak pose may be; beyond it the camera is lost. Default 5.
     pub weak_sigma_factor: f64,
@@ -261,7 +261,7 @@ impl Default for TrackingConfig {
 
 /// Relocalization: finding a lost camera in the map.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RelocalisationConfig {
+pub struct RelocalizationConfig {
     /// Places tried per frame. Default 5.
     pub max_candidates: usize,
     /// Fewest matches with a place worth a try. Default 15.
@@ -285,7 +285,7 @@ pub struct RelocalisationConfig {
     pub plentiful_inliers: usize,
 }
 
-impl Default for RelocalisationConfig {
+impl Default for RelocalizationConfig {
     fn default() -> Self {
         Self {
             max_candidates: 5,
@@ -301,19 +301,19 @@ impl Default for RelocalisationConfig {
     }
 }
 
-impl RelocalisationConfig {
+impl RelocalizationConfig {
     /// Whether so many landmarks show a place, of those that could have been found there.
     pub(crate) fn is_enough(&self, n_inliers: usize, n_expected: usize) -> bool {
         n_inliers >= self.plentiful_inliers || n_inliers as f64 >= self.min_found_share * n_expected as f64
     }
 }
 
-/// When a frame becomes a key frame.
+/// When a frame becomes a keyframe.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KeyframeConfig {
-    /// A frame that finds less than this share of what its reference key frame sees is kept. Default 0.9.
+    /// A frame that finds less than this share of what its reference keyframe sees is kept. Default 0.9.
     pub max_tracked_share: f64,
-    /// Median way that landmarks must have moved in the image since the last key frame, as a share of its
+    /// Median way that landmarks must have moved in the image since the last keyframe, as a share of its
     /// width. Default 0.025: views closer than that add work and no parallax.
     pub min_displacement: f64,
     /// A frame that finds less than this share is kept after a smaller way. Default 0.6: what is seen changes
@@ -322,26 +322,26 @@ pub struct KeyframeConfig {
     /// That smaller way, as a share of the image's width. Default 0.015.
     pub urgent_displacement: f64,
     /// After this way a frame is kept however much of the map it finds, as a share of the image's width.
-    /// Default 0.1: points that two key frames have made are known well once a third sees them from
+    /// Default 0.1: points that two keyframes have made are known well once a third sees them from
     /// elsewhere.
     pub ample_displacement: f64,
     /// The same share once `max_interval_ns` have gone by. Default 0.97: a slow camera still refreshes the
     /// map.
     pub max_tracked_share_after_wait: f64,
-    /// With fewer points than this found, segments ask for key frames too. Default 100: a pose hangs on them
+    /// With fewer points than this found, segments ask for keyframes too. Default 100: a pose hangs on them
     /// then.
     pub plentiful_points: usize,
-    /// Segments followed since the last key frame and not yet in the map that ask for another. Default 6.
+    /// Segments followed since the last keyframe and not yet in the map that ask for another. Default 6.
     pub min_followed_segments: usize,
-    /// How many times the last key frame's segments ask for another. Default 1.3.
+    /// How many times the last keyframe's segments ask for another. Default 1.3.
     pub risen_segments_share: f64,
-    /// Landmarks a key frame must find at least. Default 10, as for a good pose.
+    /// Landmarks a keyframe must find at least. Default 10, as for a good pose.
     pub min_inliers: usize,
-    /// After this time a smaller change is enough for a key frame, nanoseconds. Default 1 s.
+    /// After this time a smaller change is enough for a keyframe, nanoseconds. Default 1 s.
     pub max_interval_ns: i64,
-    /// Frames after a relocalisation that are not kept. Default 5: the pose settles first.
+    /// Frames after a relocalization that are not kept. Default 5: the pose settles first.
     pub settle_frames: u64,
-    /// Key frames kept per session; beyond it the most redundant one goes for each new one. Default 2000.
+    /// Keyframes kept per session; beyond it the most redundant one goes for each new one. Default 2000.
     pub max_keyframes: usize,
 }
 
@@ -368,10 +368,10 @@ impl Default for KeyframeConfig {
 /// Local mapping: extending and maintaining the map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MappingConfig {
-    /// Shared points that make two key frames neighbours. Default 15.
+    /// Shared points that make two keyframes neighbors. Default 15.
     pub min_covisible_points: u32,
-    /// Neighbours with which new points are triangulated. Default 20.
-    pub n_triangulation_neighbours: usize,
+    /// Neighbors with which new points are triangulated. Default 20.
+    pub n_triangulation_neighbors: usize,
     /// Baseline as a share of the scene's median depth below which no point is made. Default 0.01.
     pub min_baseline_share: f64,
     /// Parallax below which no point is made, degrees. Default 0.7: half a pixel of error is then a tenth of
@@ -379,21 +379,21 @@ pub struct MappingConfig {
     pub min_parallax_deg: f64,
     /// Best match's distance as a share of the second best's along the epipolar line. Default 0.8.
     pub match_ratio: f32,
-    /// Neighbours into which points are fused. Default 20.
-    pub n_fusion_neighbours: usize,
+    /// Neighbors into which points are fused. Default 20.
+    pub n_fusion_neighbors: usize,
     /// Radius in which a duplicate of a point is looked for, pixels of its level. Default 3.
     pub fusion_radius_px: f64,
     /// A young point found in less than this share of the frames that should see it goes. Default 0.25.
     pub min_found_ratio: f64,
-    /// Key frames after which a point must have been seen by three. Default 2.
+    /// Keyframes after which a point must have been seen by three. Default 2.
     pub probation_keyframes: u64,
-    /// Key frames that local bundle adjustment moves at most. Default 20, for a steady latency.
+    /// Keyframes that local bundle adjustment moves at most. Default 20, for a steady latency.
     pub max_local_keyframes: usize,
-    /// Key frames that hold the local window in place at most, those with the most shared points. Default 40.
+    /// Keyframes that hold the local window in place at most, those with the most shared points. Default 40.
     pub max_fixed_keyframes: usize,
     /// Iterations of local bundle adjustment before and after outliers are dropped. Default 5 and 10.
     pub local_iterations: (usize, usize),
-    /// A key frame goes when this share of its points is seen by three others as well. Default 0.9.
+    /// A keyframe goes when this share of its points is seen by three others as well. Default 0.9.
     pub redundant_share: f64,
 }
 
@@ -401,11 +401,11 @@ impl Default for MappingConfig {
     fn default() -> Self {
         Self {
             min_covisible_points: 15,
-            n_triangulation_neighbours: 20,
+            n_triangulation_neighbors: 20,
             min_baseline_share: 0.01,
             min_parallax_deg: 0.7,
             match_ratio: 0.8,
-            n_fusion_neighbours: 20,
+            n_fusion_neighbors: 20,
             fusion_radius_px: 3.0,
             min_found_ratio: 0.25,
             probation_keyframes: 2,
@@ -441,8 +441,8 @@ impl SlamConfig {
         if !(160..=8192).contains(&self.working_width_px) {
             return refuse("working_width_px", "must be between 160 and 8192");
         }
-        if self.initialisation.max_reference_views == 0 || self.initialisation.max_attempts_per_frame == 0 {
-            return refuse("initialisation.max_reference_views", "must be at least 1");
+        if self.initialization.max_reference_views == 0 || self.initialization.max_attempts_per_frame == 0 {
+            return refuse("initialization.max_reference_views", "must be at least 1");
         }
         if self.tracking.min_weak_inliers < 6 || self.tracking.min_weak_inliers > self.tracking.min_inliers {
             return refuse(

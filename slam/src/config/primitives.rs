@@ -19,16 +19,16 @@ pub struct PrimitiveConfig {
     pub min_votes: usize,
     /// The second best primitive must be this many times farther off. Default 2.
     pub min_runner_up_ratio: f64,
-    /// Key frames that must share a direction to make a primitive. Default 3: a single frame shows one chance
+    /// Keyframes that must share a direction to make a primitive. Default 3: a single frame shows one chance
     /// direction in two.
     pub min_keyframes: usize,
     /// Segments that must support it in one of them. Default 5.
     pub min_segments: usize,
-    /// Primitives closer than this are one, unless a key frame shows both, degrees. Default 1.5.
+    /// Primitives closer than this are one, unless a keyframe shows both, degrees. Default 1.5.
     pub merge_deg: f64,
-    /// Primitives that fewer key frames show are dropped when they are not seen again. Default 5.
+    /// Primitives that fewer keyframes show are dropped when they are not seen again. Default 5.
     pub min_keyframes_to_keep: usize,
-    /// After how many key frames without sight they are dropped. Default 20.
+    /// After how many keyframes without sight they are dropped. Default 20.
     pub retire_after_keyframes: u64,
     /// Largest angle between a line and the primitive its segments vote for, degrees. Default 3.
     pub max_line_angle_deg: f64,
@@ -39,19 +39,19 @@ pub struct PrimitiveConfig {
     /// at least this. Default 1.
     pub segment_sigma_factor: f64,
     /// The same in those by which the primitive's segments are seen to scatter, where that is more. Default
-    /// 2: an edge that is not quite parallel errs alike in all the key frames that show it, so these count
+    /// 2: an edge that is not quite parallel errs alike in all the keyframes that show it, so these count
     /// for fewer than they are.
     pub scatter_sigma_factor: f64,
-    /// How many of the key frames that show a primitive, newest first, tell how its segments scatter. Default
+    /// How many of the keyframes that show a primitive, newest first, tell how its segments scatter. Default
     /// 20: it is asked for every frame.
     pub max_keyframes_of_scatter: usize,
     /// Iterations of the second stage of local bundle adjustment. Default 2: it starts from the first one's
     /// result.
     pub stage_two_iterations: usize,
-    /// At the end of a recording, submaps of up to this many key frames are adjusted as a whole by their
-    /// primitives. Default 500: adjustment takes some 3 ms a key frame, and the recording's end waits for it.
+    /// At the end of a recording, submaps of up to this many keyframes are adjusted as a whole by their
+    /// primitives. Default 500: adjustment takes some 3 ms a keyframe, and the recording's end waits for it.
     pub max_keyframes_to_adjust: usize,
-    /// Primitives may turn the newest key frame by this many standard deviations of its own attitude.
+    /// Primitives may turn the newest keyframe by this many standard deviations of its own attitude.
     /// Default 3.
     pub max_turn_sigmas: f64,
 }

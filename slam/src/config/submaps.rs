@@ -6,7 +6,7 @@ pub struct SubmapConfig {
     /// Time without a pose after which a new submap is begun, nanoseconds. Default 1.5 s: longer than a
     /// blurred turn.
     pub max_lost_ns: i64,
-    /// A submap with fewer key frames than this is discarded when the camera is lost. Default 6.
+    /// A submap with fewer keyframes than this is discarded when the camera is lost. Default 6.
     pub min_keyframes: usize,
     /// A submap younger than this looks for the other submaps every so many frames. Default 3.
     pub search_interval: u64,

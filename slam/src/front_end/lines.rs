@@ -86,11 +86,11 @@ fn undistort(segment: &Segment, camera: &Camera) -> Option<(Vector2<f64>, Vector
         })
         .collect::<Option<Vec<Vector2<f64>>>>()?;
     let n = places.len() as f64;
-    let centre = places.iter().sum::<Vector2<f64>>() / n;
+    let center = places.iter().sum::<Vector2<f64>>() / n;
     let scatter: Matrix2<f64> =
-        places.iter().map(|place| (place - centre) * (place - centre).transpose()).sum::<Matrix2<f64>>() / n;
+        places.iter().map(|place| (place - center) * (place - center).transpose()).sum::<Matrix2<f64>>() / n;
     let eigen = SymmetricEigen::new(scatter);
     let along = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
-    let on_line = |end: Vector2<f64>| centre + along * along.dot(&(end - centre));
+    let on_line = |end: Vector2<f64>| center + along * along.dot(&(end - center));
     Some((on_line(start), on_line(end), eigen.eigenvalues.min().max(0.0).sqrt()))
 }

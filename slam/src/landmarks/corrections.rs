@@ -5,17 +5,17 @@ use crate::map::{KeyframeId, LineId, Map, PointId, PrimitiveId};
 use geometry::Similarity;
 use std::collections::BTreeMap;
 
-/// How each key frame's part of the world is moved, `after_from_before`.
+/// How each keyframe's part of the world is moved, `after_from_before`.
 pub(crate) type Corrections = BTreeMap<KeyframeId, Similarity>;
 
-/// Which key frame a landmark moves with, where that is not the one that made it.
+/// Which keyframe a landmark moves with, where that is not the one that made it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Anchoring {
     pub points: BTreeMap<PointId, KeyframeId>,
     pub lines: BTreeMap<LineId, KeyframeId>,
 }
 
-/// Moves key frames with what belongs to them, each by the correction of its own part of the world.
+/// Moves keyframes with what belongs to them, each by the correction of its own part of the world.
 pub(crate) fn apply_corrections(map: &mut Map, corrections: &Corrections, anchoring: &Anchoring) {
     let anchor_of = |created_by: KeyframeId, observers: &[KeyframeId]| {
         std::iter::once(&created_by).chain(observers).copied().find(|id| corrections.contains_key(id))

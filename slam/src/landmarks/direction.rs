@@ -4,10 +4,10 @@ use crate::map::{Keyframe, Map, PrimitiveObservation};
 use geometry::Direction;
 use geometry::nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2};
 
-/// Standard deviation of a key frame's attitude in the world, beside that of its vanishing point, radians:
+/// Standard deviation of a keyframe's attitude in the world, beside that of its vanishing point, radians:
 /// without it a single frame with many lines would outweigh all others.
 const ATTITUDE_SIGMA_RAD: f64 = 0.3 * std::f64::consts::PI / 180.0;
-/// Rounds of linearisation: directions are close to begin with.
+/// Rounds of linearization: directions are close to begin with.
 const N_ROUNDS: usize = 2;
 
 /// A fused direction of the world.
@@ -33,17 +33,17 @@ pub(crate) fn estimate_direction(
     map: &Map,
     observations: impl Iterator<Item = PrimitiveObservation> + Clone,
 ) -> Option<DirectionEstimate> {
-    let sightings = observations.filter_map(|seen| {
+    let observations = observations.filter_map(|seen| {
         let keyframe = map.keyframe(seen.keyframe)?;
         Some((in_world(keyframe, seen.vanishing_idx)?, covariance_in_world(keyframe, seen.vanishing_idx)?))
     });
-    let (mut direction, _) = sightings.clone().next()?;
+    let (mut direction, _) = observations.clone().next()?;
     let mut information = Matrix2::zeros();
     for _ in 0..N_ROUNDS {
         let basis = direction.basis();
         information = Matrix2::zeros();
         let mut weighted = Vector2::zeros();
-        for (sighted, covariance) in sightings.clone() {
+        for (sighted, covariance) in observations.clone() {
             let Some(weight) = information_in(&basis, &covariance) else { continue };
             information += weight;
             weighted += weight * direction.local(&sighted);

@@ -15,11 +15,11 @@ const MIN_LENGTH_SHARE: f64 = 0.01;
 pub(crate) fn seen_part(line: &Line3, views: &[TrackView]) -> Option<[Vector3<f64>; 2]> {
     let (mut starts, mut ends) = (Vec::with_capacity(views.len()), Vec::with_capacity(views.len()));
     for view in views {
-        let centre = view.camera_from_world.centre();
+        let center = view.camera_from_world.center();
         let parameter = |pixel: &Vector2<f64>| {
             let ray = view.camera_from_world.rotation.inverse() * view.pinhole.bearing(pixel);
             let is_across = ray.dot(line.direction()).abs() <= MAX_RAY_COSINE;
-            is_across.then(|| line.parameter_nearest_to_ray(&centre, &ray)).flatten()
+            is_across.then(|| line.parameter_nearest_to_ray(&center, &ray)).flatten()
         };
         starts.extend(parameter(&view.segment.start));
         ends.extend(parameter(&view.segment.end));

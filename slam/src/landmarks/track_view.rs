@@ -6,7 +6,7 @@ use geometry::nalgebra::Vector3;
 use geometry::{Line3, Pinhole, Pose};
 use vision::GridBounds;
 
-/// A segment in the key frame that shows it.
+/// A segment in the keyframe that shows it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TrackView {
     pub seen: Observation,
@@ -18,7 +18,7 @@ pub(crate) struct TrackView {
 }
 
 impl TrackView {
-    /// `None` if there is no such key frame.
+    /// `None` if there is no such keyframe.
     pub fn of(map: &Map, seen: Observation) -> Option<Self> {
         let keyframe = map.keyframe(seen.keyframe)?;
         Some(Self {
@@ -30,7 +30,7 @@ impl TrackView {
         })
     }
 
-    /// Unit normal, in the camera, of the plane that the camera's centre and the segment span.
+    /// Unit normal, in the camera, of the plane that the camera's center and the segment span.
     pub fn plane_normal(&self) -> Option<Vector3<f64>> {
         let [start, end] = [self.segment.start, self.segment.end].map(|end| self.pinhole.bearing(&end));
         start.cross(&end).try_normalize(f64::MIN_POSITIVE)

@@ -3,14 +3,14 @@
 use crate::map::{LineId, PointId};
 use std::collections::BTreeMap;
 
-/// How often each landmark should have been found and was, since the last key frame.
+/// How often each landmark should have been found and was, since the last keyframe.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Sightings {
+pub(crate) struct VisibilityCounts {
     counts: BTreeMap<PointId, (u32, u32)>,
     line_counts: BTreeMap<LineId, (u32, u32)>,
 }
 
-impl Sightings {
+impl VisibilityCounts {
     pub fn visible(&mut self, id: PointId) {
         self.counts.entry(id).or_default().0 += 1;
     }

@@ -19,10 +19,10 @@ use vision::matching::STRICT_DISTANCE;
 pub(super) const MAX_SQUARED_ERROR: f64 = 9.21;
 /// Keyframes of the place whose points are matched by descriptors alone.
 const N_MATCHED_KEYFRAMES: usize = 6;
-/// A place with fewer matches than this share of those needed is given up after its first key frame.
+/// A place with fewer matches than this share of those needed is given up after its first keyframe.
 const MIN_FIRST_SHARE: f64 = 0.4;
 
-/// Which keypoint of the new key frame sees which point of the place.
+/// Which keypoint of the new keyframe sees which point of the place.
 pub(super) type PlaceMatches = BTreeMap<usize, PointId>;
 
 /// `place_from_current`, if enough points agree with one.
@@ -75,7 +75,7 @@ fn match_by_looks(map: &Map, keyframe: &Keyframe, place: &Place, min_matches: us
     Some(matches)
 }
 
-/// Finds points of the place in a key frame on the other side, where the similarity puts them.
+/// Finds points of the place in a keyframe on the other side, where the similarity puts them.
 pub(super) fn find_place_points(
     map: &Map,
     keyframe: &Keyframe,
@@ -85,12 +85,12 @@ pub(super) fn find_place_points(
     config: &SlamConfig,
 ) -> PlaceMatches {
     let camera_from_place = camera_from_place(keyframe, place_from_current);
-    let centre = camera_from_place.centre();
+    let center = camera_from_place.center();
     let features = &keyframe.features;
     let min_view_cosine = config.tracking.max_view_angle_deg.to_radians().cos();
     let mut matches = PlaceMatches::new();
     for point in place.points.iter().filter_map(|id| map.point(*id)) {
-        let view = PredictedView::of(point, &camera_from_place, &centre, features, min_view_cosine);
+        let view = PredictedView::of(point, &camera_from_place, &center, features, min_view_cosine);
         let Some(view) = view else { continue };
         let window = Window {
             pixel: view.pixel,
@@ -107,12 +107,12 @@ pub(super) fn find_place_points(
     matches
 }
 
-/// A key frame's pose in the world of the place.
+/// A keyframe's pose in the world of the place.
 pub(super) fn camera_from_place(keyframe: &Keyframe, place_from_current: &Similarity) -> Pose {
     (Similarity::from_pose(&keyframe.camera_from_world) * place_from_current.inverse()).pose_part()
 }
 
-/// Points that are in the map twice: as the new key frame's surroundings know them, and as the place does.
+/// Points that are in the map twice: as the new keyframe's surroundings know them, and as the place does.
 struct Pairs(Vec<SimilarityReprojectionFactor>);
 
 impl Pairs {

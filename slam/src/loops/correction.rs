@@ -42,7 +42,7 @@ pub(super) fn close_loop(map: &mut Map, recognition: &Recognition, config: &Slam
         .map(|(i, j)| LoopEdge { i, j, j_from_i: now(&j) * now(&i).inverse() })
         .collect();
     let initial: BTreeMap<KeyframeId, Similarity> = before.keys().map(|id| (*id, now(id))).collect();
-    let corrections = essential_graph::optimise(map, &before, &initial, &loop_edges, &config.loops);
+    let corrections = essential_graph::optimize(map, &before, &initial, &loop_edges, &config.loops);
     apply_corrections(map, &corrections, &anchoring);
 }
 
@@ -50,28 +50,28 @@ pub(super) fn close_loop(map: &mut Map, recognition: &Recognition, config: &Slam
 pub(super) fn merge(
     map: &mut Map,
     recognition: &Recognition,
-    gone: SubmapId,
-    kept: SubmapId,
+    absorbed: SubmapId,
+    surviving: SubmapId,
     config: &SlamConfig,
 ) {
     let Some(current_submap) = map.keyframe(recognition.current).map(|keyframe| keyframe.submap) else {
         return;
     };
-    let (kept_from_gone, root, parent) = if current_submap == gone {
+    let (surviving_from_absorbed, root, parent) = if current_submap == absorbed {
         (recognition.place_from_current, recognition.current, recognition.matched)
     } else {
         (recognition.place_from_current.inverse(), recognition.matched, recognition.current)
     };
     let corrections: Corrections =
-        map.keyframes_of(gone).map(|keyframe| (keyframe.id, kept_from_gone)).collect();
+        map.keyframes_of(absorbed).map(|keyframe| (keyframe.id, surviving_from_absorbed)).collect();
     apply_corrections(map, &corrections, &Anchoring::default());
-    map.rename_submap(gone, kept);
+    map.rename_submap(absorbed, surviving);
     map.hang_tree(root, parent);
-    join_primitives(map, kept);
+    join_primitives(map, surviving);
     join_landmarks(map, &recognition.place, recognition.current, config);
 }
 
-/// Joins the points of a place with those of a key frame and its neighbours, which are in the right place by
+/// Joins the points of a place with those of a keyframe and its neighbors, which are in the right place by
 /// now.
 pub(super) fn join_landmarks(map: &mut Map, place: &Place, current: KeyframeId, config: &SlamConfig) {
     let window = window_around(map, current);
@@ -93,14 +93,14 @@ pub(super) fn join_landmarks(map: &mut Map, place: &Place, current: KeyframeId, 
     }
 }
 
-/// A key frame and those that share points with it.
+/// A keyframe and those that share points with it.
 fn window_around(map: &Map, id: KeyframeId) -> BTreeSet<KeyframeId> {
-    let neighbours =
+    let neighbors =
         map.keyframe(id).into_iter().flat_map(|keyframe| keyframe.covisible().iter().map(|(id, _)| *id));
-    std::iter::once(id).chain(neighbours).collect()
+    std::iter::once(id).chain(neighbors).collect()
 }
 
-/// Ties of key frames in the window with ones outside.
+/// Ties of keyframes in the window with ones outside.
 fn outward_edges(map: &Map, window: &BTreeSet<KeyframeId>) -> BTreeSet<(KeyframeId, KeyframeId)> {
     window
         .iter()
@@ -160,11 +160,11 @@ fn join_primitives(map: &mut Map, submap: SubmapId) {
         .filter(|primitive| primitive.submap == submap)
         .map(|primitive| primitive.id)
         .collect();
-    for (position, kept) in ids.iter().enumerate() {
-        for gone in &ids[position + 1..] {
-            let (Some(a), Some(b)) = (map.primitive(*kept), map.primitive(*gone)) else { continue };
+    for (position, surviving) in ids.iter().enumerate() {
+        for absorbed in &ids[position + 1..] {
+            let (Some(a), Some(b)) = (map.primitive(*surviving), map.primitive(*absorbed)) else { continue };
             if a.direction.angle(&b.direction).to_degrees() <= SAME_DIRECTION_DEG {
-                map.fuse_primitives(*kept, *gone);
+                map.fuse_primitives(*surviving, *absorbed);
             }
         }
     }

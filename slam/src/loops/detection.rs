@@ -1,28 +1,28 @@
 //! Loop detection: keyframes that look like a new one and are not covisible with it.
 
 use crate::config::LoopConfig;
+use crate::keyframe_index::KeyframeIndex;
 use crate::map::{KeyframeId, Map};
-use crate::places::KeyframePlaces;
 use std::collections::BTreeSet;
 
 /// Indexes the keyframes' descriptors and finds those that are alike.
 #[derive(Debug, Default)]
 pub(super) struct Detector {
-    places: KeyframePlaces,
+    places: KeyframeIndex,
 }
 
 impl Detector {
-    /// Key frames that look like the given one but are not around it, most similar first.
+    /// Keyframes that look like the given one but are not around it, most similar first.
     pub fn candidates(&mut self, map: &Map, id: KeyframeId, config: &LoopConfig) -> Vec<KeyframeId> {
         self.places.update(map);
         let Some(keyframe) = map.keyframe(id) else { return Vec::new() };
         let around = surroundings(map, id);
         let descriptors = &keyframe.features.descriptors;
-        // How alike two views of the same place are depends on the place: the key frames next to this one
+        // How alike two views of the same place are depends on the place: the keyframes next to this one
         // tell.
-        let is_neighbour = |other| other != id && around.contains(&other);
+        let is_neighbor = |other| other != id && around.contains(&other);
         let familiar =
-            self.places.most_similar(descriptors, 1, is_neighbour).first().map_or(0.0, |place| place.score);
+            self.places.most_similar(descriptors, 1, is_neighbor).first().map_or(0.0, |place| place.score);
         let is_elsewhere = |other| other != id && !around.contains(&other);
         let likely = self.places.most_similar(descriptors, config.max_candidates, is_elsewhere);
         likely
@@ -35,13 +35,13 @@ impl Detector {
     }
 }
 
-/// A key frame, those that share points with it, and those that share points with these.
+/// A keyframe, those that share points with it, and those that share points with these.
 pub(super) fn surroundings(map: &Map, id: KeyframeId) -> BTreeSet<KeyframeId> {
-    let neighbours = |id: &KeyframeId| {
+    let neighbors = |id: &KeyframeId| {
         map.keyframe(*id)
             .into_iter()
             .flat_map(|keyframe| keyframe.covisible().iter().map(|(other, _)| *other))
     };
-    let near: BTreeSet<KeyframeId> = std::iter::once(id).chain(neighbours(&id)).collect();
-    near.iter().copied().chain(near.iter().flat_map(neighbours)).collect()
+    let near: BTreeSet<KeyframeId> = std::iter::once(id).chain(neighbors(&id)).collect();
+    near.iter().copied().chain(near.iter().flat_map(neighbors)).collect()
 }

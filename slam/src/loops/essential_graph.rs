@@ -9,15 +9,15 @@ use geometry::Similarity;
 use optim::{Kernel, Problem, SolverOptions};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Standard deviations of what one key frame drifts against the next: attitude (radians), place (share of the
+/// Standard deviations of what one keyframe drifts against the next: attitude (radians), place (share of the
 /// scene's depth) and scale (logarithm). Only their ratios matter; scale drifts most with one camera.
 const DRIFT_SIGMAS: [f64; 3] = [0.002, 0.003, 0.006];
-/// Key frames whose numbers are at least this far apart see the same because a loop was closed there.
+/// Keyframes whose numbers are at least this far apart see the same because a loop was closed there.
 const LOOP_SEPARATION: u64 = 20;
 /// Shared points with which such a pair is a loop edge.
 const MIN_LOOP_POINTS: u32 = 30;
 
-/// A newly measured relation of key frames `i` and `j`.
+/// A newly measured relation of keyframes `i` and `j`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LoopEdge {
     pub i: KeyframeId,
@@ -25,10 +25,10 @@ pub(super) struct LoopEdge {
     pub j_from_i: Similarity,
 }
 
-/// Optimises the poses of a submap's key frames, given as `camera_from_world` with a scale: as they were
-/// `measured` along the way, and where the optimisation starts, which is where the map's landmarks are.
-/// Returns how each key frame's part of the world is moved by the result.
-pub(super) fn optimise(
+/// Optimizes the poses of a submap's keyframes, given as `camera_from_world` with a scale: as they were
+/// `measured` along the way, and where the optimization starts, which is where the map's landmarks are.
+/// Returns how each keyframe's part of the world is moved by the result.
+pub(super) fn optimize(
     map: &Map,
     measured: &BTreeMap<KeyframeId, Similarity>,
     initial: &BTreeMap<KeyframeId, Similarity>,
@@ -38,7 +38,7 @@ pub(super) fn optimise(
     let mut problem = Problem::new();
     let variables: BTreeMap<KeyframeId, _> =
         initial.iter().map(|(id, start)| (*id, problem.add_variable(*start))).collect();
-    // One key frame must stay: the oldest, so that the submap's frame of reference does.
+    // One keyframe must stay: the oldest, so that the submap's frame of reference does.
     if let Some(oldest) = variables.values().next() {
         problem.set_fixed(*oldest, true);
     }
@@ -70,7 +70,7 @@ pub(super) fn optimise(
         .collect()
 }
 
-/// The essential graph of some key frames of a map.
+/// The essential graph of some keyframes of a map.
 pub(super) fn edges(
     map: &Map,
     among: &BTreeMap<KeyframeId, Similarity>,
@@ -81,29 +81,29 @@ pub(super) fn edges(
     essential_edges(&ties, config)
 }
 
-/// What the essential graph is chosen by: a key frame's place in the spanning tree and what it shares with
+/// What the essential graph is chosen by: a keyframe's place in the spanning tree and what it shares with
 /// others.
 #[derive(Clone, Copy, Debug)]
 pub struct KeyframeTies<'a> {
-    /// The key frame.
+    /// The keyframe.
     pub id: KeyframeId,
-    /// The key frame it hangs on in the spanning tree.
+    /// The keyframe it hangs on in the spanning tree.
     pub parent: Option<KeyframeId>,
-    /// Key frames with which it shares points and lines and how many, most first; see
+    /// Keyframes with which it shares points and lines and how many, most first; see
     /// [`Keyframe::covisible`].
     pub covisible: &'a [(KeyframeId, u32)],
 }
 
 impl<'a> KeyframeTies<'a> {
-    /// The ties of a key frame of a map.
+    /// The ties of a keyframe of a map.
     pub fn of(keyframe: &'a Keyframe) -> Self {
         Self { id: keyframe.id, parent: keyframe.parent, covisible: keyframe.covisible() }
     }
 }
 
-/// The essential graph of a submap's key frames: spanning tree, strong ties, and ties across time that
-/// earlier loops have left. The latter can be told by the numbers of the key frames, so nothing needs to be
-/// stored of them. Pairs of which one is not among the key frames given are left out; the lower id comes
+/// The essential graph of a submap's keyframes: spanning tree, strong ties, and ties across time that
+/// earlier loops have left. The latter can be told by the numbers of the keyframes, so nothing needs to be
+/// stored of them. Pairs of which one is not among the keyframes given are left out; the lower id comes
 /// first.
 pub fn essential_edges(
     keyframes: &[KeyframeTies],

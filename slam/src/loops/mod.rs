@@ -1,7 +1,7 @@
 //! Loop closing and map merging: loops within a submap are closed, submaps that meet are merged.
 //! [method: Loop detection and correction] Each new keyframe is compared with the map by its descriptors
 //! ([`detection`]). A place that looks alike must be confirmed by geometry: a similarity that carries the new
-//! key frame's surroundings onto the place ([`alignment`]), with which the key frame and its neighbours find
+//! keyframe's surroundings onto the place ([`alignment`]), with which the keyframe and its neighbors find
 //! the place's points ([`verification`]). Then the map is corrected ([`correction`], [`essential_graph`]).
 
 mod alignment;
@@ -28,25 +28,25 @@ use std::collections::BTreeSet;
 /// correction is only a matter of joining landmarks: what bundle adjustment does to a map anyway.
 const NEGLIGIBLE: (f64, f64, f64) = (0.01, 0.005, 0.01);
 
-/// A place that a key frame was found to show.
+/// A place that a keyframe was found to show.
 #[derive(Clone, Debug)]
 pub(crate) struct Recognition {
-    /// The new key frame.
+    /// The new keyframe.
     pub current: KeyframeId,
-    /// The key frame of the place.
+    /// The keyframe of the place.
     pub matched: KeyframeId,
-    /// Takes the world around the new key frame to where the place says it is.
+    /// Takes the world around the new keyframe to where the place says it is.
     pub place_from_current: Similarity,
-    /// What key frames at the place see.
+    /// What keyframes at the place see.
     pub place: Place,
-    /// Points of the place found in the new key frame.
+    /// Points of the place found in the new keyframe.
     pub n_matches: usize,
 }
 
-/// The surroundings of a recognised key frame.
+/// The surroundings of a recognized keyframe.
 #[derive(Clone, Debug)]
 pub(crate) struct Place {
-    /// The recognised key frame and its neighbours, strongest ties first.
+    /// The recognized keyframe and its neighbors, strongest ties first.
     pub keyframes: Vec<KeyframeId>,
     /// What they see, in the order of the ids.
     pub points: Vec<PointId>,
@@ -60,7 +60,7 @@ pub(crate) struct Closed {
     pub moved: bool,
 }
 
-/// Recognises places and corrects the map.
+/// Recognizes places and corrects the map.
 pub(crate) struct LoopCloser {
     config: SlamConfig,
     detector: Detector,
@@ -76,9 +76,9 @@ impl LoopCloser {
         }
     }
 
-    /// Looks for the place a new key frame shows, and corrects the map if it is found.
+    /// Looks for the place a new keyframe shows, and corrects the map if it is found.
     pub fn close(&mut self, map: &mut Map, id: KeyframeId) -> Option<Closed> {
-        let recognition = self.recognise(map, id)?;
+        let recognition = self.recognize(map, id)?;
         let current = map.keyframe(recognition.current)?.submap;
         let matched = map.keyframe(recognition.matched)?.submap;
         if current == matched {
@@ -91,10 +91,10 @@ impl LoopCloser {
         }
     }
 
-    fn recognise(&mut self, map: &Map, id: KeyframeId) -> Option<Recognition> {
+    fn recognize(&mut self, map: &Map, id: KeyframeId) -> Option<Recognition> {
         let candidates = self.detector.candidates(map, id, &self.config.loops);
         candidates.into_iter().find_map(|matched| {
-            let place = Place::around(map, matched, id, self.config.loops.n_window_neighbours)?;
+            let place = Place::around(map, matched, id, self.config.loops.n_window_neighbors)?;
             let aligned = alignment::align(map, id, &place, &self.config, &mut self.rng)?;
             let n_matches = verification::verify(map, id, &place, &aligned, &self.config)?;
             Some(Recognition { current: id, matched, place_from_current: aligned, place, n_matches })
@@ -137,24 +137,24 @@ impl LoopCloser {
         matched: SubmapId,
     ) -> Closed {
         // The older submap's frame of reference survives.
-        let (gone, kept) = (current.max(matched), current.min(matched));
-        correction::merge(map, recognition, gone, kept, &self.config);
+        let (absorbed, surviving) = (current.max(matched), current.min(matched));
+        correction::merge(map, recognition, absorbed, surviving, &self.config);
         let event = MapEvent::SubmapsMerged {
             keyframe: recognition.current,
             matched: recognition.matched,
-            gone,
-            kept,
+            absorbed,
+            surviving,
             n_matches: recognition.n_matches,
         };
-        Closed { event, submap: kept, moved: true }
+        Closed { event, submap: surviving, moved: true }
     }
 }
 
 impl Place {
-    fn around(map: &Map, matched: KeyframeId, current: KeyframeId, n_neighbours: usize) -> Option<Self> {
-        let centre = map.keyframe(matched)?;
-        let neighbours = centre.covisible().iter().take(n_neighbours).map(|(id, _)| *id);
-        let keyframes: Vec<KeyframeId> = std::iter::once(matched).chain(neighbours).collect();
+    fn around(map: &Map, matched: KeyframeId, current: KeyframeId, n_neighbors: usize) -> Option<Self> {
+        let center = map.keyframe(matched)?;
+        let neighbors = center.covisible().iter().take(n_neighbors).map(|(id, _)| *id);
+        let keyframes: Vec<KeyframeId> = std::iter::once(matched).chain(neighbors).collect();
         let seen = keyframes
             .iter()
             .filter_map(|id| map.keyframe(*id))
@@ -171,9 +171,9 @@ fn is_negligible(map: &Map, recognition: &Recognition) -> bool {
     let Some(current) = map.keyframe(recognition.current) else { return true };
     let Some(depth) = median_depth(map, current) else { return false };
     let similarity = &recognition.place_from_current;
-    let centre = current.camera_from_world.centre();
+    let center = current.camera_from_world.center();
     let (max_shift, max_turn, max_log_scale) = NEGLIGIBLE;
-    (similarity.transform(&centre) - centre).norm() < max_shift * depth
+    (similarity.transform(&center) - center).norm() < max_shift * depth
         && similarity.rotation.angle() < max_turn
         && similarity.scale.ln().abs() < max_log_scale
 }

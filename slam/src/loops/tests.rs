@@ -103,7 +103,7 @@ impl Walk {
     fn map(&self) -> Map {
         let camera = camera();
         let mut map = Map::default();
-        let mut sightings: BTreeMap<(usize, bool), Vec<Observation>> = BTreeMap::new();
+        let mut observations: BTreeMap<(usize, bool), Vec<Observation>> = BTreeMap::new();
         for (index, camera_from_true) in self.cameras.iter().enumerate() {
             let mut rng = ChaCha8Rng::seed_from_u64(index as u64);
             let (mut keypoints, mut descriptors) = (Vec::new(), Vec::new());
@@ -121,7 +121,7 @@ impl Walk {
                 let (x, y) = ((pixel.x + noise.x) as f32, (pixel.y + noise.y) as f32);
                 let sighting =
                     Observation { keyframe: keyframe_id(index), feature_idx: keypoints.len() as u32 };
-                sightings.entry((point_idx, index >= self.second_lap)).or_default().push(sighting);
+                observations.entry((point_idx, index >= self.second_lap)).or_default().push(sighting);
                 keypoints.push(Keypoint { x, y, octave: OCTAVE, angle: 0.0, response: 1.0 });
                 descriptors.push(seen);
             }
@@ -138,7 +138,7 @@ impl Walk {
                 (!is_first).then(|| keyframe_id(index - 1)),
             ));
         }
-        for ((point_idx, _), seen) in sightings {
+        for ((point_idx, _), seen) in observations {
             let made_by = seen[seen.len() / 2].keyframe;
             let position = self.drift[made_by.index()].transform(&self.points[point_idx].0);
             map.add_point(position, made_by, &seen);
@@ -152,9 +152,9 @@ impl Walk {
 
     /// Root mean square distance of the cameras from where they are, after the best alignment.
     fn error(&self, map: &Map) -> f64 {
-        let truth: Vec<Vector3<f64>> = self.cameras.iter().map(Pose::centre).collect();
+        let truth: Vec<Vector3<f64>> = self.cameras.iter().map(Pose::center).collect();
         let mapped: Vec<Vector3<f64>> = (0..self.cameras.len())
-            .map(|index| map.camera_from_world(keyframe_id(index)).unwrap().centre())
+            .map(|index| map.camera_from_world(keyframe_id(index)).unwrap().center())
             .collect();
         let aligned = Similarity::from_correspondences(&mapped, &truth, true).unwrap();
         let squared = mapped.iter().zip(&truth).map(|(m, t)| (aligned.transform(m) - t).norm_squared());
@@ -226,7 +226,7 @@ fn key_frames_made_during_the_adjustment_are_carried_along() {
     let before = relative(&map);
     result.merge_into(&mut map);
     map.check().unwrap();
-    assert!(relative(&map).local(&before).norm() < 1e-9, "it follows the key frame it hangs on");
+    assert!(relative(&map).local(&before).norm() < 1e-9, "it follows the keyframe it hangs on");
     let aborted = global::adjust(&map, SubmapId(0), &iterating(3), &AtomicBool::new(true));
     assert!(aborted.is_none(), "an aborted adjustment gives nothing");
 }
@@ -249,7 +249,7 @@ fn places_that_look_alike_are_not_the_same_place() {
     let mut map = walk.map();
     let mut closer = LoopCloser::new(&SlamConfig::default());
     for index in 0..walk.cameras.len() {
-        assert!(closer.close(&mut map, keyframe_id(index)).is_none(), "a false loop at key frame {index}");
+        assert!(closer.close(&mut map, keyframe_id(index)).is_none(), "a false loop at keyframe {index}");
     }
     let unmoved = |keyframe: &Keyframe| {
         keyframe.camera_from_world.local(&walk.cameras[keyframe.id.index()]).norm() < 1e-9
@@ -270,7 +270,7 @@ fn submaps_that_meet_become_one_and_what_hangs_on_them_follows() {
     }
     let mut map = walk.map();
     assert_eq!(map.submaps().len(), 2);
-    // A frame half way between two key frames of the second submap.
+    // A frame half way between two keyframes of the second submap.
     let (reference, next) = (keyframe_id(42), keyframe_id(43));
     let half_way = |map: &Map| {
         let (a, b) = (map.keyframe(reference).unwrap(), map.keyframe(next).unwrap());
@@ -281,7 +281,10 @@ fn submaps_that_meet_become_one_and_what_hangs_on_them_follows() {
     let closed =
         LoopCloser::new(&SlamConfig::default()).close(&mut map, last_keyframe(&walk)).expect("a merge");
     map.check().unwrap();
-    assert!(matches!(closed.event, MapEvent::SubmapsMerged { gone: SubmapId(1), kept: SubmapId(0), .. }));
+    assert!(matches!(
+        closed.event,
+        MapEvent::SubmapsMerged { absorbed: SubmapId(1), surviving: SubmapId(0), .. }
+    ));
     assert_eq!(map.submaps(), [SubmapId(0)].into());
     assert!(map.points().all(|point| point.submap == SubmapId(0)));
     let error = walk.error(&map);
@@ -328,6 +331,6 @@ fn lines_and_primitives_move_with_the_key_frames_that_see_them() {
     assert!(turned.direction.angle(&axis.rotated(&moved.rotation)) < 1e-9);
     assert!((map.point(point.id).unwrap().position - moved.transform(&point.position)).norm() < 1e-12);
     let keyframe = map.keyframe(seen_by).unwrap();
-    assert!((keyframe.unit - moved.scale).abs() < 1e-12);
-    assert!((keyframe.camera_from_world.centre() - moved.transform(&walk.cameras[5].centre())).norm() < 1e-9);
+    assert!((keyframe.local_scale - moved.scale).abs() < 1e-12);
+    assert!((keyframe.camera_from_world.center() - moved.transform(&walk.cameras[5].center())).norm() < 1e-9);
 }

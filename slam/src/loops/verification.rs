@@ -9,8 +9,8 @@ use crate::matching::PredictedView;
 use geometry::nalgebra::Vector3;
 use geometry::{Direction, Similarity};
 
-/// Neighbours of the new key frame that are asked, most shared points first.
-const N_ASKED_NEIGHBOURS: usize = 6;
+/// Neighbors of the new keyframe that are asked, most shared points first.
+const N_ASKED_NEIGHBORS: usize = 6;
 /// Axes farther apart than this have nothing to do with one another, degrees: one side does not show the
 /// other's.
 const UNRELATED_DEG: f64 = 15.0;
@@ -18,7 +18,7 @@ const UNRELATED_DEG: f64 = 15.0;
 /// short.
 const FREE_SHIFT: f64 = 0.2;
 
-/// How many points of the place the key frame finds, if everything speaks for the place.
+/// How many points of the place the keyframe finds, if everything speaks for the place.
 pub(super) fn verify(
     map: &Map,
     current: KeyframeId,
@@ -42,22 +42,18 @@ pub(super) fn verify(
     if (n_matches as f64) < loops.min_found_share * n_expected as f64 {
         return None;
     }
-    let neighbours: Vec<&Keyframe> = keyframe
-        .covisible()
-        .iter()
-        .take(N_ASKED_NEIGHBOURS)
-        .filter_map(|(id, _)| map.keyframe(*id))
-        .collect();
-    let n_required = loops.n_confirmations.min(neighbours.len());
-    let confirming = neighbours.iter().filter(|neighbour| count(neighbour) >= loops.min_confirming_matches);
+    let neighbors: Vec<&Keyframe> =
+        keyframe.covisible().iter().take(N_ASKED_NEIGHBORS).filter_map(|(id, _)| map.keyframe(*id)).collect();
+    let n_required = loops.n_confirmations.min(neighbors.len());
+    let confirming = neighbors.iter().filter(|neighbor| count(neighbor) >= loops.min_confirming_matches);
     if confirming.take(n_required).count() < n_required {
         return None;
     }
-    directions_agree(map, keyframe, &neighbours, place, place_from_current, loops.max_direction_error_deg)
+    directions_agree(map, keyframe, &neighbors, place, place_from_current, loops.max_direction_error_deg)
         .then_some(n_matches)
 }
 
-/// Points of the place that the key frame finds where the similarity puts them.
+/// Points of the place that the keyframe finds where the similarity puts them.
 fn n_agreeing(
     map: &Map,
     keyframe: &Keyframe,
@@ -78,7 +74,7 @@ fn n_agreeing(
     matches.iter().filter(|found| agrees(*found)).count()
 }
 
-/// Points of the place that the key frame should show if the similarity is right.
+/// Points of the place that the keyframe should show if the similarity is right.
 fn n_visible(
     map: &Map,
     keyframe: &Keyframe,
@@ -87,10 +83,10 @@ fn n_visible(
     config: &SlamConfig,
 ) -> usize {
     let camera = camera_from_place(keyframe, place_from_current);
-    let centre = camera.centre();
+    let center = camera.center();
     let min_view_cosine = config.tracking.max_view_angle_deg.to_radians().cos();
     let is_visible = |point: &&PointLandmark| {
-        PredictedView::of(point, &camera, &centre, &keyframe.features, min_view_cosine).is_some()
+        PredictedView::of(point, &camera, &center, &keyframe.features, min_view_cosine).is_some()
     };
     let n_visible = place.points.iter().filter_map(|id| map.point(*id)).filter(is_visible).count();
     // Of crowded places the extractor picks only so many keypoints.
@@ -107,14 +103,14 @@ fn is_drift(
     config: &LoopConfig,
 ) -> bool {
     let (first, last) = (current.id.min(matched.id), current.id.max(matched.id));
-    let centres: Vec<Vector3<f64>> = map
+    let centers: Vec<Vector3<f64>> = map
         .keyframes_of(current.submap)
         .filter(|keyframe| (first..=last).contains(&keyframe.id))
-        .map(|keyframe| keyframe.camera_from_world.centre())
+        .map(|keyframe| keyframe.camera_from_world.center())
         .collect();
-    let way: f64 = centres.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-    let centre = current.camera_from_world.centre();
-    let shift = (place_from_current.transform(&centre) - centre).norm();
+    let way: f64 = centers.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    let center = current.camera_from_world.center();
+    let shift = (place_from_current.transform(&center) - center).norm();
     let free = FREE_SHIFT * median_depth(map, current).unwrap_or(0.0);
     shift <= config.max_drift_share * way + free
         && place_from_current.rotation.angle() <= config.max_turn_deg.to_radians()
@@ -126,13 +122,13 @@ fn is_drift(
 fn directions_agree(
     map: &Map,
     current: &Keyframe,
-    neighbours: &[&Keyframe],
+    neighbors: &[&Keyframe],
     place: &Place,
     place_from_current: &Similarity,
     max_error_deg: f64,
 ) -> bool {
     let here: Vec<Direction> = std::iter::once(current)
-        .chain(neighbours.iter().copied())
+        .chain(neighbors.iter().copied())
         .flat_map(directions)
         .map(|direction| direction.rotated(&place_from_current.rotation))
         .collect();
@@ -153,7 +149,7 @@ fn directions_agree(
     *errors.select_nth_unstable_by(middle, f64::total_cmp).1 <= max_error_deg
 }
 
-/// The world directions of the vanishing points of a key frame that belong to a global primitive.
+/// The world directions of the vanishing points of a keyframe that belong to a global primitive.
 fn directions(keyframe: &Keyframe) -> impl Iterator<Item = Direction> + '_ {
     let world_from_camera = keyframe.camera_from_world.rotation.inverse();
     keyframe

@@ -5,8 +5,8 @@ use geometry::PinholeCorrection;
 use std::sync::Arc;
 
 impl Map {
-    /// Takes over how the camera differs from its calibration. Pixels stay as they are; the rays of all key
-    /// frames change, and with them the directions of their vanishing points. Poses and landmarks are left as
+    /// Takes over how the camera differs from its calibration. Pixels stay as they are; the rays of all
+    /// keyframes change, and with them the directions of their vanishing points. Poses and landmarks are left as
     /// they are. A correction that leaves no camera is refused.
     pub(crate) fn set_correction(&mut self, correction: PinholeCorrection) {
         if !leaves_a_camera(&correction) {
@@ -32,11 +32,11 @@ impl Map {
 
 /// Whether a camera corrected this way still sees: all is finite, and the focal length positive.
 pub(super) fn leaves_a_camera(correction: &PinholeCorrection) -> bool {
-    let PinholeCorrection { focal, centre_x, centre_y } = correction;
-    [focal, centre_x, centre_y].iter().all(|value| value.is_finite()) && *focal > -1.0
+    let PinholeCorrection { focal, center_x, center_y } = correction;
+    [focal, center_x, center_y].iter().all(|value| value.is_finite()) && *focal > -1.0
 }
 
-/// Has a key frame's rays be those of the corrected camera.
+/// Has a keyframe's rays be those of the corrected camera.
 pub(super) fn adapt(keyframe: &mut Keyframe, correction: &PinholeCorrection) {
     if !keyframe.features.has_correction(correction) {
         keyframe.features = Arc::new(keyframe.features.with_correction(correction));

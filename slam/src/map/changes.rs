@@ -8,9 +8,9 @@ use std::sync::Arc;
 /// The ids whose rows differ from the last time the changes were taken.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MapChanges {
-    /// Key frames that are new, moved, or see other landmarks than before.
+    /// Keyframes that are new, moved, or see other landmarks than before.
     pub keyframes: BTreeSet<KeyframeId>,
-    /// Key frames that were removed; [`Map::removed_keyframe`] says what they hang on now.
+    /// Keyframes that were removed; [`Map::removed_keyframe`] says what they hang on now.
     pub removed_keyframes: BTreeSet<KeyframeId>,
     /// Points that are new, moved, or have other observations than before.
     pub points: BTreeSet<PointId>,
@@ -73,7 +73,7 @@ pub enum FrameState {
     Lost,
 }
 
-/// One frame's place in the trajectory, relative to a key frame so that it moves when the map is corrected.
+/// One frame's place in the trajectory, relative to a keyframe so that it moves when the map is corrected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameRecord {
     /// The client's number of the frame.
@@ -88,14 +88,14 @@ pub struct FrameRecord {
     pub backfilled: bool,
 }
 
-/// A pose relative to a key frame. [`Map::locate`] tells where that is.
+/// A pose relative to a keyframe. [`Map::locate`] tells where that is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FramePose {
-    /// The submap the reference key frame was in when the frame was placed; it may have been merged since.
+    /// The submap the reference keyframe was in when the frame was placed; it may have been merged since.
     pub submap: SubmapId,
-    /// The key frame the pose is relative to; it may have been removed since.
+    /// The keyframe the pose is relative to; it may have been removed since.
     pub reference: KeyframeId,
-    /// The frame's camera from the reference key frame's camera; translation in the reference's own
+    /// The frame's camera from the reference keyframe's camera; translation in the reference's own
     /// [unit](super::Keyframe::unit).
     pub camera_from_reference: Pose,
 }

@@ -1,8 +1,8 @@
-//! How far away a key frame's landmarks are.
+//! How far away a keyframe's landmarks are.
 
 use super::{Keyframe, Map};
 
-/// Median depth of the points a key frame sees, map units.
+/// Median depth of the points a keyframe sees, map units.
 pub(crate) fn median_depth(map: &Map, keyframe: &Keyframe) -> Option<f64> {
     let mut depths: Vec<f64> = keyframe
         .observed_points()

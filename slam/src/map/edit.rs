@@ -17,7 +17,7 @@ impl Map {
         std::mem::take(&mut self.changes)
     }
 
-    /// Puts a key frame into the map. Observations in its `points` are entered at the landmarks; those of
+    /// Puts a keyframe into the map. Observations in its `points` are entered at the landmarks; those of
     /// landmarks that are gone, or already seen by another keypoint of the frame, are dropped.
     pub(crate) fn add_keyframe(&mut self, mut keyframe: Keyframe) {
         let id = keyframe.id;
@@ -41,7 +41,7 @@ impl Map {
         self.keyframes.insert(id.index(), keyframe);
     }
 
-    /// Takes a key frame out, with its observations. Frames and key frames that hang on it hang on `anchor`,
+    /// Takes a keyframe out, with its observations. Frames and keyframes that hang on it hang on `anchor`,
     /// another one of its submap, from now on. Points left with fewer than two observations go too.
     pub(crate) fn remove_keyframe(&mut self, id: KeyframeId, anchor: KeyframeId) {
         let Some(anchor_from_world) =
@@ -60,7 +60,7 @@ impl Map {
             self.leave_primitive_observation(primitive_id, id);
         }
         let mut camera_from_anchor = removed.camera_from_world * anchor_from_world.inverse();
-        camera_from_anchor.translation /= self.keyframe(anchor).map_or(1.0, |keyframe| keyframe.unit);
+        camera_from_anchor.translation /= self.keyframe(anchor).map_or(1.0, |keyframe| keyframe.local_scale);
         Arc::make_mut(&mut self.removed_keyframes)
             .insert(id, RemovedKeyframe { id, anchor, camera_from_anchor });
         let children: Vec<KeyframeId> = self
@@ -73,8 +73,8 @@ impl Map {
             let parent = if self.hangs_on(anchor, child) { removed.parent } else { Some(anchor) };
             self.edit_keyframe(child, |keyframe| keyframe.parent = parent);
         }
-        for (neighbour, _) in removed.covisible.iter() {
-            if let Some(keyframe) = self.keyframes.get_mut(neighbour.index()) {
+        for (neighbor, _) in removed.covisible.iter() {
+            if let Some(keyframe) = self.keyframes.get_mut(neighbor.index()) {
                 keyframe.covisible.retain(|(other, _)| *other != id);
             }
         }
@@ -146,7 +146,7 @@ impl Map {
         self.leave_observation(point_id, keyframe_id);
     }
 
-    /// Takes a point out of the map and of every key frame that sees it.
+    /// Takes a point out of the map and of every keyframe that sees it.
     pub(crate) fn remove_point(&mut self, id: PointId) {
         let Some(point) = self.points.remove(id.index()) else { return };
         for seen in &point.observations {
@@ -157,37 +157,37 @@ impl Map {
     }
 
     /// Joins two points that are the same: `kept` takes over what `gone` was seen by.
-    pub(crate) fn fuse_points(&mut self, kept: PointId, gone: PointId) {
-        if kept == gone || self.point(kept).is_none() {
+    pub(crate) fn fuse_points(&mut self, surviving: PointId, absorbed: PointId) {
+        if surviving == absorbed || self.point(surviving).is_none() {
             return;
         }
-        let Some(other) = self.point(gone).cloned() else { return };
-        self.remove_point(gone);
+        let Some(other) = self.point(absorbed).cloned() else { return };
+        self.remove_point(absorbed);
         for seen in &other.observations {
-            self.add_observation(kept, *seen);
+            self.add_observation(surviving, *seen);
         }
-        self.edit_point(kept, |point| {
+        self.edit_point(surviving, |point| {
             point.n_visible = point.n_visible.saturating_add(other.n_visible);
             point.n_found = point.n_found.saturating_add(other.n_found);
         });
     }
 
-    /// Moves a key frame. A pose that is not finite is refused.
+    /// Moves a keyframe. A pose that is not finite is refused.
     pub(crate) fn set_pose(&mut self, id: KeyframeId, camera_from_world: Pose) {
         if camera_from_world.is_finite() {
             self.edit_keyframe(id, |keyframe| keyframe.camera_from_world = camera_from_world);
         }
     }
 
-    /// Hangs a key frame on another in the spanning tree. Nothing happens if that is gone, or hangs on the
-    /// key frame.
+    /// Hangs a keyframe on another in the spanning tree. Nothing happens if that is gone, or hangs on the
+    /// keyframe.
     pub(crate) fn set_parent(&mut self, id: KeyframeId, parent: KeyframeId) {
         if self.keyframe(parent).is_some() && !self.hangs_on(parent, id) {
             self.edit_keyframe(id, |keyframe| keyframe.parent = Some(parent));
         }
     }
 
-    /// Takes out every key frame and point of a submap that came to nothing.
+    /// Takes out every keyframe and point of a submap that came to nothing.
     pub(crate) fn remove_submap(&mut self, submap: SubmapId) {
         let points: Vec<PointId> =
             self.points().filter(|point| point.submap == submap).map(|point| point.id).collect();
@@ -230,7 +230,7 @@ impl Map {
 
     /// Adds to how often points should have been visible and were found. Not worth a row of its own in the
     /// store: it is written when the point changes otherwise.
-    pub(crate) fn count_sightings(&mut self, id: PointId, n_visible: u32, n_found: u32) {
+    pub(crate) fn count_visibility(&mut self, id: PointId, n_visible: u32, n_found: u32) {
         if let Some(point) = self.points.get_mut(id.index()) {
             point.n_visible = point.n_visible.saturating_add(n_visible);
             point.n_found = point.n_found.saturating_add(n_found);
@@ -258,9 +258,9 @@ impl Map {
         });
     }
 
-    /// Recomputes which key frames share points and lines with this one, on both sides.
+    /// Recomputes which keyframes share points and lines with this one, on both sides.
     ///
-    /// The strongest edge is kept even when it is below `min_shared`, so that no key frame is alone.
+    /// The strongest edge is kept even when it is below `min_shared`, so that no keyframe is alone.
     pub(crate) fn refresh_covisibility(&mut self, id: KeyframeId, min_shared: u32) {
         let Some(keyframe) = self.keyframe(id) else { return };
         let mut shared: BTreeMap<KeyframeId, u32> = BTreeMap::new();
@@ -282,16 +282,18 @@ impl Map {
         let mut covisible: Vec<(KeyframeId, u32)> =
             shared.into_iter().filter(|(other, n)| *n >= min_shared || Some(*other) == strongest).collect();
         sort_by_weight(&mut covisible);
-        for other in before.into_iter().filter(|other| covisible.iter().all(|(kept, _)| kept != other)) {
-            if let Some(neighbour) = self.keyframes.get_mut(other.index()) {
-                neighbour.covisible.retain(|(back, _)| *back != id);
+        for other in
+            before.into_iter().filter(|other| covisible.iter().all(|(surviving, _)| surviving != other))
+        {
+            if let Some(neighbor) = self.keyframes.get_mut(other.index()) {
+                neighbor.covisible.retain(|(back, _)| *back != id);
             }
         }
         for (other, n) in &covisible {
-            if let Some(neighbour) = self.keyframes.get_mut(other.index()) {
-                neighbour.covisible.retain(|(back, _)| *back != id);
-                neighbour.covisible.push((id, *n));
-                sort_by_weight(&mut neighbour.covisible);
+            if let Some(neighbor) = self.keyframes.get_mut(other.index()) {
+                neighbor.covisible.retain(|(back, _)| *back != id);
+                neighbor.covisible.push((id, *n));
+                sort_by_weight(&mut neighbor.covisible);
             }
         }
         if let Some(keyframe) = self.keyframes.get_mut(id.index()) {
@@ -374,13 +376,13 @@ impl PointSummary {
 fn view_geometry(map: &Map, point: &PointLandmark) -> Option<(Vector3<f64>, (f64, f64))> {
     let mut direction_sum = Vector3::zeros();
     for seen in &point.observations {
-        let centre = map.keyframe(seen.keyframe)?.camera_from_world.centre();
-        direction_sum += (point.position - centre).try_normalize(f64::MIN_POSITIVE)?;
+        let center = map.keyframe(seen.keyframe)?.camera_from_world.center();
+        direction_sum += (point.position - center).try_normalize(f64::MIN_POSITIVE)?;
     }
     let reference = point.observations.iter().find(|seen| seen.keyframe == point.created_by);
     let reference = reference.or(point.observations.first())?;
     let keyframe = map.keyframe(reference.keyframe)?;
-    let distance = (point.position - keyframe.camera_from_world.centre()).norm();
+    let distance = (point.position - keyframe.camera_from_world.center()).norm();
     let pyramid = keyframe.features.pyramid;
     let octave = keyframe.features.keypoints[reference.feature_idx as usize].octave;
     let farthest = distance * pyramid.scale(octave);

@@ -87,7 +87,7 @@ impl Map {
         self.leave_line_observation(line_id, keyframe_id);
     }
 
-    /// Takes a line out of the map and of every key frame that sees it.
+    /// Takes a line out of the map and of every keyframe that sees it.
     pub(crate) fn remove_line(&mut self, id: LineId) {
         let Some(line) = self.lines.remove(id.index()) else { return };
         for seen in &line.observations {
@@ -98,16 +98,16 @@ impl Map {
     }
 
     /// Joins two lines that are the same: `kept` takes over what `gone` was seen by.
-    pub(crate) fn fuse_lines(&mut self, kept: LineId, gone: LineId) {
-        if kept == gone || self.line(kept).is_none() {
+    pub(crate) fn fuse_lines(&mut self, surviving: LineId, absorbed: LineId) {
+        if surviving == absorbed || self.line(surviving).is_none() {
             return;
         }
-        let Some(other) = self.line(gone).cloned() else { return };
-        self.remove_line(gone);
+        let Some(other) = self.line(absorbed).cloned() else { return };
+        self.remove_line(absorbed);
         for seen in &other.observations {
-            self.add_line_observation(kept, *seen);
+            self.add_line_observation(surviving, *seen);
         }
-        self.edit_line(kept, |line| {
+        self.edit_line(surviving, |line| {
             line.n_visible = line.n_visible.saturating_add(other.n_visible);
             line.n_found = line.n_found.saturating_add(other.n_found);
             line.primitive = line.primitive.or(other.primitive);
@@ -131,7 +131,7 @@ impl Map {
 
     /// Adds to how often lines should have been visible and were found. Written when the line changes
     /// otherwise.
-    pub(crate) fn count_line_sightings(&mut self, id: LineId, n_visible: u32, n_found: u32) {
+    pub(crate) fn count_line_visibility(&mut self, id: LineId, n_visible: u32, n_found: u32) {
         if let Some(line) = self.lines.get_mut(id.index()) {
             line.n_visible = line.n_visible.saturating_add(n_visible);
             line.n_found = line.n_found.saturating_add(n_found);

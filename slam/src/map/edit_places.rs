@@ -1,7 +1,7 @@
 //! Sim(3) corrections of parts of a map, and what is anchored to what was moved.
 //!
-//! A correction may change the scale of a part of the map. Frames of the trajectory are kept relative to key
-//! frames by others, and stay right because their offsets are in the key frame's own [unit](Keyframe::unit),
+//! A correction may change the scale of a part of the map. Frames of the trajectory are kept relative to
+//! keyframes by others, and stay right because their offsets are in the keyframe's own [unit](Keyframe::unit),
 //! which follows.
 
 use super::{FramePose, Keyframe, KeyframeId, LineId, LinePlace, Map, PointId, PrimitiveId, SubmapId};
@@ -9,37 +9,37 @@ use geometry::nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use geometry::{Direction, Pose, Similarity};
 
 impl Map {
-    /// The submap and the pose, `camera_from_world`, of a frame that hangs on a key frame that is or was in
+    /// The submap and the pose, `camera_from_world`, of a frame that hangs on a keyframe that is or was in
     /// the map.
     pub fn locate(&self, place: &FramePose) -> Option<(SubmapId, Pose)> {
         let (anchor, camera_from_anchor) = self.resolve(place.reference, place.camera_from_reference)?;
         Some((anchor.submap, camera_from_anchor * anchor.camera_from_world))
     }
 
-    /// Pose of a key frame that is or was in the map, following removed ones to what they hang on.
+    /// Pose of a keyframe that is or was in the map, following removed ones to what they hang on.
     pub fn camera_from_world(&self, id: KeyframeId) -> Option<Pose> {
         let (anchor, camera_from_anchor) = self.resolve(id, Pose::identity())?;
         Some(camera_from_anchor * anchor.camera_from_world)
     }
 
-    /// The key frame that is in the map and on which a key frame that is or was in the map hangs: itself if
+    /// The keyframe that is in the map and on which a keyframe that is or was in the map hangs: itself if
     /// it is.
     pub(crate) fn anchor_of(&self, id: KeyframeId) -> Option<&Keyframe> {
         self.resolve(id, Pose::identity()).map(|(anchor, _)| anchor)
     }
 
-    /// Where a camera is relative to a key frame, in the key frame's own unit.
+    /// Where a camera is relative to a keyframe, in the keyframe's own unit.
     pub(crate) fn place_beside(&self, reference: KeyframeId, camera_from_world: &Pose) -> Option<FramePose> {
         let anchor = self.anchor_of(reference)?;
         let camera_from_reference = *camera_from_world * self.camera_from_world(reference)?.inverse();
         Some(FramePose {
             submap: anchor.submap,
             reference,
-            camera_from_reference: in_unit(&camera_from_reference, 1.0 / anchor.unit),
+            camera_from_reference: at_local_scale(&camera_from_reference, 1.0 / anchor.local_scale),
         })
     }
 
-    /// The live key frame a place hangs on, and the place relative to it, map units.
+    /// The live keyframe a place hangs on, and the place relative to it, map units.
     fn resolve(&self, id: KeyframeId, camera_from_id: Pose) -> Option<(&Keyframe, Pose)> {
         let mut camera_from_current = camera_from_id;
         let mut current = id;
@@ -47,7 +47,7 @@ impl Map {
         // safety.
         for _ in 0..=self.removed_keyframes.len() {
             if let Some(keyframe) = self.keyframe(current) {
-                return Some((keyframe, in_unit(&camera_from_current, keyframe.unit)));
+                return Some((keyframe, at_local_scale(&camera_from_current, keyframe.local_scale)));
             }
             let removed = self.removed_keyframes.get(&current)?;
             camera_from_current = camera_from_current * removed.camera_from_anchor;
@@ -56,15 +56,17 @@ impl Map {
         None
     }
 
-    /// Moves a key frame as the world around it is moved by `after_from_before`. What is not finite is
+    /// Moves a keyframe as the world around it is moved by `after_from_before`. What is not finite is
     /// refused.
     pub(crate) fn move_keyframe(&mut self, id: KeyframeId, after_from_before: &Similarity) {
         let Some(keyframe) = self.keyframe(id) else { return };
         let moved = Similarity::from_pose(&keyframe.camera_from_world) * after_from_before.inverse();
-        let (mut pose, unit) = (moved.pose_part(), keyframe.unit * after_from_before.scale);
+        let (mut pose, local_scale) = (moved.pose_part(), keyframe.local_scale * after_from_before.scale);
         pose.rotation.renormalize();
-        if pose.is_finite() && unit.is_finite() && unit > 0.0 {
-            self.edit_keyframe(id, |keyframe| (keyframe.camera_from_world, keyframe.unit) = (pose, unit));
+        if pose.is_finite() && local_scale.is_finite() && local_scale > 0.0 {
+            self.edit_keyframe(id, |keyframe| {
+                (keyframe.camera_from_world, keyframe.local_scale) = (pose, local_scale)
+            });
         }
     }
 
@@ -93,7 +95,7 @@ impl Map {
         self.set_line_place(id, &place);
     }
 
-    /// Turns a primitive to where the key frames that see it say, after these were moved. One that none sees
+    /// Turns a primitive to where the keyframes that see it say, after these were moved. One that none sees
     /// is turned by `otherwise`.
     pub(crate) fn realign_primitive(&mut self, id: PrimitiveId, otherwise: &Similarity) {
         let Some(primitive) = self.primitive(id) else { return };
@@ -142,8 +144,8 @@ impl Map {
         }
     }
 
-    /// Turns the spanning tree of a submap so that `root` is its root, and hangs that on `parent`, a key
-    /// frame of another tree.
+    /// Turns the spanning tree of a submap so that `root` is its root, and hangs that on `parent`, a
+    /// keyframe of another tree.
     pub(crate) fn hang_tree(&mut self, root: KeyframeId, parent: KeyframeId) {
         let (mut current, mut new_parent) = (root, parent);
         // Each step goes one up in the old tree; the bound is for safety.
@@ -155,7 +157,7 @@ impl Map {
         }
     }
 
-    /// Whether a key frame is another, or hangs on it in the spanning tree, however far below.
+    /// Whether a keyframe is another, or hangs on it in the spanning tree, however far below.
     pub(super) fn hangs_on(&self, id: KeyframeId, above: KeyframeId) -> bool {
         let mut current = Some(id);
         // Each step goes one up in the tree; the bound is for safety.
@@ -169,15 +171,15 @@ impl Map {
         false
     }
 
-    /// Every key frame of a submap, oldest first.
+    /// Every keyframe of a submap, oldest first.
     pub fn keyframes_of(&self, submap: SubmapId) -> impl Iterator<Item = &Keyframe> {
         self.keyframes().filter(move |keyframe| keyframe.submap == submap)
     }
 }
 
 /// A pose whose lengths are read as `unit` map units each.
-fn in_unit(pose: &Pose, unit: f64) -> Pose {
-    Pose::new(pose.rotation, pose.translation * unit)
+fn at_local_scale(pose: &Pose, local_scale: f64) -> Pose {
+    Pose::new(pose.rotation, pose.translation * local_scale)
 }
 
 /// The covariance of a direction that was turned the shortest way.

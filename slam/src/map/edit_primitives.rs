@@ -8,7 +8,7 @@ use geometry::Direction;
 use geometry::nalgebra::Matrix3;
 
 impl Map {
-    /// Enters which vanishing points a key frame shows; they belong to no primitive yet.
+    /// Enters which vanishing points a keyframe shows; they belong to no primitive yet.
     pub(crate) fn set_vanishing(&mut self, id: KeyframeId, vanishing: Vec<VanishingObservation>) {
         let before: Vec<PrimitiveId> = self
             .keyframe(id)
@@ -21,7 +21,7 @@ impl Map {
         self.edit_keyframe(id, |keyframe| keyframe.vanishing = vanishing);
     }
 
-    /// Makes a primitive that no key frame sees yet; `None` if its covariance is not finite.
+    /// Makes a primitive that no keyframe sees yet; `None` if its covariance is not finite.
     pub(crate) fn add_primitive(
         &mut self,
         submap: SubmapId,
@@ -41,7 +41,7 @@ impl Map {
         Some(id)
     }
 
-    /// Enters that a vanishing point of a key frame shows a primitive. Nothing happens if either is taken or
+    /// Enters that a vanishing point of a keyframe shows a primitive. Nothing happens if either is taken or
     /// gone.
     pub(crate) fn add_primitive_observation(&mut self, id: PrimitiveId, seen: PrimitiveObservation) -> bool {
         let vanishing = self
@@ -77,7 +77,7 @@ impl Map {
         self.leave_primitive_observation(id, keyframe_id);
     }
 
-    /// Takes a primitive out of the map, of every key frame that sees it and every line that has its
+    /// Takes a primitive out of the map, of every keyframe that sees it and every line that has its
     /// direction.
     pub(crate) fn remove_primitive(&mut self, id: PrimitiveId) {
         let Some(primitive) = self.primitives.remove(id.index()) else { return };
@@ -93,20 +93,20 @@ impl Map {
         self.changes.removed_primitives.insert(id);
     }
 
-    /// Joins two primitives that are the same: `kept` takes over what `gone` was seen by. A key frame that
+    /// Joins two primitives that are the same: `kept` takes over what `gone` was seen by. A keyframe that
     /// shows both keeps the first.
-    pub(crate) fn fuse_primitives(&mut self, kept: PrimitiveId, gone: PrimitiveId) {
-        if kept == gone || self.primitive(kept).is_none() {
+    pub(crate) fn fuse_primitives(&mut self, surviving: PrimitiveId, absorbed: PrimitiveId) {
+        if surviving == absorbed || self.primitive(surviving).is_none() {
             return;
         }
-        let Some(other) = self.primitive(gone).cloned() else { return };
-        let lines = self.lines_of_primitive(gone);
-        self.remove_primitive(gone);
+        let Some(other) = self.primitive(absorbed).cloned() else { return };
+        let lines = self.lines_of_primitive(absorbed);
+        self.remove_primitive(absorbed);
         for seen in &other.observations {
-            self.add_primitive_observation(kept, *seen);
+            self.add_primitive_observation(surviving, *seen);
         }
         for line in lines {
-            self.set_line_primitive(line, Some(kept));
+            self.set_line_primitive(line, Some(surviving));
         }
     }
 
@@ -133,7 +133,7 @@ impl Map {
     /// of the whole that the windows of local bundle adjustment, one after the other, were not told.
     pub(crate) fn primitives_tie_beyond_sight(&self, submap: SubmapId) -> bool {
         self.primitives().filter(|primitive| primitive.submap == submap).any(|primitive| {
-            // In the order in which the key frames were made: the ends are the least likely to share
+            // In the order in which the keyframes were made: the ends are the least likely to share
             // anything.
             let ends = primitive.observations.first().zip(primitive.observations.last());
             let Some((first, last)) = ends.filter(|(first, last)| first.keyframe != last.keyframe) else {

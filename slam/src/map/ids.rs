@@ -44,7 +44,7 @@ macro_rules! id {
 }
 
 id!(
-    /// Identity of a key frame.
+    /// Identity of a keyframe.
     KeyframeId, "kf"
 );
 id!(

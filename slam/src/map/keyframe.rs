@@ -1,4 +1,4 @@
-//! Key frames: the frames a map is made of.
+//! Keyframes: the frames a map is made of.
 
 use super::ids::{KeyframeId, LineId, PointId, SubmapId};
 use super::primitive::VanishingObservation;
@@ -19,27 +19,27 @@ pub struct Keyframe {
     pub timestamp_ns: i64,
     /// Pose; lengths in map units.
     pub camera_from_world: Pose,
-    /// Map units per unit in which the offsets of the frames that hang on this key frame are given. One,
-    /// until a correction changes the scale of the map around the key frame; handed on to the key frames made
+    /// Map units per unit in which the offsets of the frames that hang on this keyframe are given. One,
+    /// until a correction changes the scale of the map around the keyframe; handed on to the keyframes made
     /// beside it.
-    pub unit: f64,
+    pub local_scale: f64,
     /// What the front end measured; never changes.
     pub features: Arc<FrameFeatures>,
     /// The landmark each keypoint observes, one entry per keypoint.
     pub points: Vec<Option<PointId>>,
     /// The landmark each segment observes, one entry per segment.
     pub lines: Vec<Option<LineId>>,
-    /// The vanishing points found in the key frame; which there are never changes, only what they belong to.
+    /// The vanishing points found in the keyframe; which there are never changes, only what they belong to.
     pub vanishing: Vec<VanishingObservation>,
-    /// The key frame this one hangs on in the spanning tree; `None` for the first of a submap.
+    /// The keyframe this one hangs on in the spanning tree; `None` for the first of a submap.
     pub parent: Option<KeyframeId>,
-    /// Key frames that share at least [`crate::MappingConfig::min_covisible_points`] points and lines with
+    /// Keyframes that share at least [`crate::MappingConfig::min_covisible_points`] points and lines with
     /// this one, with how many, most first. Derived from the observations.
     pub(crate) covisible: Vec<(KeyframeId, u32)>,
 }
 
 impl Keyframe {
-    /// A key frame of stored parts that sees no landmark yet: fill `points`, `lines` and `vanishing`
+    /// A keyframe of stored parts that sees no landmark yet: fill `points`, `lines` and `vanishing`
     /// afterwards.
     pub fn from_parts(
         id: KeyframeId,
@@ -58,7 +58,7 @@ impl Keyframe {
             sequence,
             timestamp_ns,
             camera_from_world,
-            unit: 1.0,
+            local_scale: 1.0,
             features,
             points,
             lines,
@@ -68,7 +68,7 @@ impl Keyframe {
         }
     }
 
-    /// Key frames that share points and lines with this one and how many they share, most first.
+    /// Keyframes that share points and lines with this one and how many they share, most first.
     pub fn covisible(&self) -> &[(KeyframeId, u32)] {
         &self.covisible
     }
@@ -89,14 +89,14 @@ impl Keyframe {
     }
 }
 
-/// Where a removed key frame was, so that frames that refer to it keep their place.
+/// Where a removed keyframe was, so that frames that refer to it keep their place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RemovedKeyframe {
-    /// The removed key frame.
+    /// The removed keyframe.
     pub id: KeyframeId,
-    /// The key frame its pose now hangs on, which may have been removed later itself.
+    /// The keyframe its pose now hangs on, which may have been removed later itself.
     pub anchor: KeyframeId,
-    /// The removed key frame's pose relative to the anchor's at the time of removal, in the anchor's own
-    /// unit. Only key frames of (nearly) the same unit hang on one another this way.
+    /// The removed keyframe's pose relative to the anchor's at the time of removal, in the anchor's own
+    /// unit. Only keyframes of (nearly) the same unit hang on one another this way.
     pub camera_from_anchor: Pose,
 }

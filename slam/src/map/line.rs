@@ -6,7 +6,7 @@ use geometry::Line3;
 use geometry::nalgebra::Vector3;
 use vision::Descriptor;
 
-/// A straight edge of the scene, seen by two key frames or more.
+/// A straight edge of the scene, seen by two keyframes or more.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineLandmark {
     /// Identity within the session.
@@ -20,9 +20,9 @@ pub struct LineLandmark {
     pub endpoints: [Vector3<f64>; 2],
     /// The descriptor that is closest to all the observed ones.
     pub descriptor: Descriptor,
-    /// The key frame that made the line.
+    /// The keyframe that made the line.
     pub created_by: KeyframeId,
-    /// Sightings in the order of the key frames' ids, one per key frame; `feature_idx` counts the key frame's
+    /// VisibilityCounts in the order of the keyframes' ids, one per keyframe; `feature_idx` counts the keyframe's
     /// [`lines`](crate::features::FrameFeatures::lines).
     pub observations: Vec<Observation>,
     /// Frames in which the line should have been visible.
@@ -34,7 +34,7 @@ pub struct LineLandmark {
 }
 
 impl LineLandmark {
-    /// The segment with which a key frame sees this line.
+    /// The segment with which a keyframe sees this line.
     pub fn observation_in(&self, keyframe: KeyframeId) -> Option<u32> {
         let found = self.observations.binary_search_by_key(&keyframe, |observation| observation.keyframe);
         found.ok().map(|position| self.observations[position].feature_idx)

@@ -1,4 +1,4 @@
-//! The map: key frames, landmarks, and who sees what.
+//! The map: keyframes, landmarks, and who sees what.
 //!
 //! A [`Map`] is a value. Copies are cheap and share everything that neither side has changed since, so the
 //! one owner works on its copy and hands out snapshots, and no reader ever waits.
@@ -36,7 +36,7 @@ use paged::Paged;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Key frames and landmarks of one session.
+/// Keyframes and landmarks of one session.
 #[derive(Clone, Debug, Default)]
 pub struct Map {
     keyframes: Paged<Keyframe>,
@@ -55,7 +55,7 @@ pub struct Map {
 /// What a stored map consists of, to make a [`Map`] from again. The order of the entries does not matter.
 #[derive(Clone, Debug, Default)]
 pub struct MapParts {
-    /// Key frames, without their covisibility, which is derived.
+    /// Keyframes, without their covisibility, which is derived.
     pub keyframes: Vec<Keyframe>,
     /// Points.
     pub points: Vec<PointLandmark>,
@@ -63,7 +63,7 @@ pub struct MapParts {
     pub lines: Vec<LineLandmark>,
     /// Global primitives.
     pub primitives: Vec<GlobalPrimitive>,
-    /// Removed key frames that frames may still refer to.
+    /// Removed keyframes that frames may still refer to.
     pub removed_keyframes: Vec<RemovedKeyframe>,
     /// How the camera differs from its calibration, as far as the session has found out.
     pub correction: PinholeCorrection,
@@ -74,7 +74,7 @@ pub struct MapParts {
 /// The highest ids ever given out in a session, 0 before the first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LastIds {
-    /// Of key frames.
+    /// Of keyframes.
     pub keyframe: u64,
     /// Of points.
     pub point: u64,
@@ -90,7 +90,7 @@ pub struct LastIds {
 pub struct MapError(pub String);
 
 impl Map {
-    /// The key frame with this id, if it is in the map.
+    /// The keyframe with this id, if it is in the map.
     pub fn keyframe(&self, id: KeyframeId) -> Option<&Keyframe> {
         self.keyframes.get(id.index())
     }
@@ -130,7 +130,7 @@ impl Map {
         self.primitives.len()
     }
 
-    /// Every key frame, oldest first.
+    /// Every keyframe, oldest first.
     pub fn keyframes(&self) -> impl Iterator<Item = &Keyframe> {
         self.keyframes.iter()
     }
@@ -140,7 +140,7 @@ impl Map {
         self.points.iter()
     }
 
-    /// How many key frames there are.
+    /// How many keyframes there are.
     pub fn n_keyframes(&self) -> usize {
         self.keyframes.len()
     }
@@ -150,12 +150,12 @@ impl Map {
         self.points.len()
     }
 
-    /// What a removed key frame hangs on now.
+    /// What a removed keyframe hangs on now.
     pub fn removed_keyframe(&self, id: KeyframeId) -> Option<&RemovedKeyframe> {
         self.removed_keyframes.get(&id)
     }
 
-    /// Every removed key frame, in the order of their ids.
+    /// Every removed keyframe, in the order of their ids.
     pub fn removed_keyframes(&self) -> impl Iterator<Item = &RemovedKeyframe> {
         self.removed_keyframes.values()
     }
@@ -170,12 +170,12 @@ impl Map {
         }
     }
 
-    /// How the camera differs from its calibration. All key frames are of this camera.
+    /// How the camera differs from its calibration. All keyframes are of this camera.
     pub fn correction(&self) -> PinholeCorrection {
         self.correction
     }
 
-    /// The submaps that have key frames, in order.
+    /// The submaps that have keyframes, in order.
     pub fn submaps(&self) -> BTreeSet<SubmapId> {
         self.keyframes().map(|keyframe| keyframe.submap).collect()
     }

@@ -81,7 +81,7 @@ impl Map {
             }
             if point.observations.len() < 2 {
                 return Err(MapError(format!(
-                    "point {} is seen by {} key frames",
+                    "point {} is seen by {} keyframes",
                     point.id,
                     point.observations.len()
                 )));
@@ -90,7 +90,7 @@ impl Map {
                 let back = self.keyframe(*keyframe).and_then(|seen| seen.points.get(*feature_idx as usize));
                 if back.copied().flatten() != Some(point.id) {
                     return Err(MapError(format!(
-                        "point {} claims keypoint {feature_idx} of key frame {keyframe}, which does not know it",
+                        "point {} claims keypoint {feature_idx} of keyframe {keyframe}, which does not know it",
                         point.id
                     )));
                 }
@@ -98,7 +98,7 @@ impl Map {
         }
         for gone in self.removed_keyframes.values() {
             if self.camera_from_world(gone.id).is_none() {
-                return Err(MapError(format!("removed key frame {} hangs on nothing", gone.id)));
+                return Err(MapError(format!("removed keyframe {} hangs on nothing", gone.id)));
             }
         }
         Ok(())
@@ -106,30 +106,33 @@ impl Map {
 
     fn check_keyframe(&self, keyframe: &Keyframe) -> Result<(), MapError> {
         let id = keyframe.id;
-        if !keyframe.camera_from_world.is_finite() || !keyframe.unit.is_finite() || keyframe.unit <= 0.0 {
-            return Err(MapError(format!("key frame {id} has a pose or a unit that is not finite")));
+        if !keyframe.camera_from_world.is_finite()
+            || !keyframe.local_scale.is_finite()
+            || keyframe.local_scale <= 0.0
+        {
+            return Err(MapError(format!("keyframe {id} has a pose or a unit that is not finite")));
         }
         if keyframe.points.len() != keyframe.features.keypoints.len() {
             return Err(MapError(format!(
-                "key frame {id} has {} keypoints but {} observations",
+                "keyframe {id} has {} keypoints but {} observations",
                 keyframe.features.keypoints.len(),
                 keyframe.points.len()
             )));
         }
         if keyframe.parent.is_some_and(|parent| self.keyframe(parent).is_none()) {
-            return Err(MapError(format!("key frame {id} hangs on a key frame that does not exist")));
+            return Err(MapError(format!("keyframe {id} hangs on a keyframe that does not exist")));
         }
         for (feature_idx, point_id) in keyframe.observed_points() {
             let back = self.point(point_id).and_then(|point| point.observation_in(id));
             if back != Some(feature_idx as u32) {
                 return Err(MapError(format!(
-                    "keypoint {feature_idx} of key frame {id} claims point {point_id}, which does not know it"
+                    "keypoint {feature_idx} of keyframe {id} claims point {point_id}, which does not know it"
                 )));
             }
         }
         if keyframe.lines.len() != keyframe.features.lines.len() {
             return Err(MapError(format!(
-                "key frame {id} has {} segments but {} observations of lines",
+                "keyframe {id} has {} segments but {} observations of lines",
                 keyframe.features.lines.len(),
                 keyframe.lines.len()
             )));
@@ -138,7 +141,7 @@ impl Map {
             let back = self.line(line_id).and_then(|line| line.observation_in(id));
             if back != Some(feature_idx as u32) {
                 return Err(MapError(format!(
-                    "segment {feature_idx} of key frame {id} claims line {line_id}, which does not know it"
+                    "segment {feature_idx} of keyframe {id} claims line {line_id}, which does not know it"
                 )));
             }
         }
@@ -149,16 +152,16 @@ impl Map {
         let id = keyframe.id;
         for (idx, vanishing) in keyframe.vanishing.iter().enumerate() {
             if !vanishing.direction.iter().chain(vanishing.covariance.iter()).all(|value| value.is_finite()) {
-                return Err(MapError(format!("vanishing point {idx} of key frame {id} is not finite")));
+                return Err(MapError(format!("vanishing point {idx} of keyframe {id} is not finite")));
             }
             if vanishing.segments.iter().any(|segment| *segment as usize >= keyframe.lines.len()) {
-                return Err(MapError(format!("vanishing point {idx} of key frame {id} names no segment")));
+                return Err(MapError(format!("vanishing point {idx} of keyframe {id} names no segment")));
             }
             let Some(primitive_id) = vanishing.primitive else { continue };
             let back = self.primitive(primitive_id).and_then(|primitive| primitive.observation_in(id));
             if back != Some(idx as u32) {
                 return Err(MapError(format!(
-                    "vanishing point {idx} of key frame {id} claims primitive {primitive_id}, which does not know it"
+                    "vanishing point {idx} of keyframe {id} claims primitive {primitive_id}, which does not know it"
                 )));
             }
         }
@@ -171,13 +174,13 @@ impl Map {
             return Err(MapError(format!("line {id} is not finite")));
         }
         if line.observations.len() < 2 {
-            return Err(MapError(format!("line {id} is seen by {} key frames", line.observations.len())));
+            return Err(MapError(format!("line {id} is seen by {} keyframes", line.observations.len())));
         }
         for Observation { keyframe, feature_idx } in &line.observations {
             let back = self.keyframe(*keyframe).and_then(|seen| seen.lines.get(*feature_idx as usize));
             if back.copied().flatten() != Some(id) {
                 return Err(MapError(format!(
-                    "line {id} claims segment {feature_idx} of key frame {keyframe}, which does not know it"
+                    "line {id} claims segment {feature_idx} of keyframe {keyframe}, which does not know it"
                 )));
             }
         }
@@ -197,7 +200,7 @@ impl Map {
             let back = keyframe.and_then(|keyframe| keyframe.vanishing.get(seen.vanishing_idx as usize));
             if back.and_then(|vanishing| vanishing.primitive) != Some(id) {
                 return Err(MapError(format!(
-                    "primitive {id} claims vanishing point {} of key frame {}, which does not know it",
+                    "primitive {id} claims vanishing point {} of keyframe {}, which does not know it",
                     seen.vanishing_idx, seen.keyframe
                 )));
             }

@@ -4,16 +4,16 @@ use super::ids::{KeyframeId, PointId, SubmapId};
 use geometry::nalgebra::Vector3;
 use vision::Descriptor;
 
-/// One sighting of a landmark: which keypoint of which key frame.
+/// One sighting of a landmark: which keypoint of which keyframe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Observation {
-    /// The key frame that sees the landmark.
+    /// The keyframe that sees the landmark.
     pub keyframe: KeyframeId,
-    /// Index into the key frame's keypoints.
+    /// Index into the keyframe's keypoints.
     pub feature_idx: u32,
 }
 
-/// A point of the scene, seen by two key frames or more.
+/// A point of the scene, seen by two keyframes or more.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PointLandmark {
     /// Identity within the session.
@@ -28,9 +28,9 @@ pub struct PointLandmark {
     pub mean_view_direction: Vector3<f64>,
     /// Distances between which the extractor's pyramid can see the point, map units.
     pub distance_range: (f64, f64),
-    /// The key frame that made the point.
+    /// The keyframe that made the point.
     pub created_by: KeyframeId,
-    /// Sightings in the order of the key frames' ids, one per key frame.
+    /// VisibilityCounts in the order of the keyframes' ids, one per keyframe.
     pub observations: Vec<Observation>,
     /// Frames in which the point should have been visible, and in which it was found.
     pub n_visible: u32,
@@ -39,7 +39,7 @@ pub struct PointLandmark {
 }
 
 impl PointLandmark {
-    /// The keypoint with which a key frame sees this point.
+    /// The keypoint with which a keyframe sees this point.
     pub fn observation_in(&self, keyframe: KeyframeId) -> Option<u32> {
         let found = self.observations.binary_search_by_key(&keyframe, |observation| observation.keyframe);
         found.ok().map(|position| self.observations[position].feature_idx)

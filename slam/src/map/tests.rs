@@ -33,7 +33,7 @@ fn seen(keyframe: u64, feature_idx: u32) -> Observation {
     Observation { keyframe: keyframe_id(keyframe), feature_idx }
 }
 
-/// Three key frames in a row; four points seen by all, one by the first two only.
+/// Three keyframes in a row; four points seen by all, one by the first two only.
 fn small_map() -> (Map, Vec<PointId>) {
     let mut map = Map::default();
     map.add_keyframe(keyframe(1, None));
@@ -103,7 +103,7 @@ fn fused_points_keep_every_view_once() {
     assert_eq!(
         kept,
         &[seen(1, 5), seen(2, 6), seen(3, 7)],
-        "key frame 2 sees the point with one keypoint only"
+        "keyframe 2 sees the point with one keypoint only"
     );
     assert_eq!(map.keyframe(keyframe_id(2)).unwrap().points[7], None);
 }

@@ -4,17 +4,17 @@
 use crate::config::{MappingConfig, SlamConfig};
 use crate::map::{Keyframe, KeyframeId, Map, PointId};
 
-/// Observations that a point needs to survive its probation, or all there are key frames for.
+/// Observations that a point needs to survive its probation, or all there are keyframes for.
 const MIN_OBSERVATIONS: usize = 3;
-/// Key frames other than the judged one that must see a point for it to count as redundant.
+/// Keyframes other than the judged one that must see a point for it to count as redundant.
 const N_REDUNDANT_OBSERVERS: usize = 3;
-/// Largest difference between the units of a culled key frame and of the one that takes its place, as a
+/// Largest difference between the units of a culled keyframe and of the one that takes its place, as a
 /// logarithm.
-const MAX_UNIT_STEP: f64 = 0.05;
-/// Key frames of a submap that are never culled, counted from the newest: they carry the tracking.
+const MAX_LOCAL_SCALE_STEP: f64 = 0.05;
+/// Keyframes of a submap that are never culled, counted from the newest: they carry the tracking.
 const N_PROTECTED: u64 = 2;
 
-/// Judges young points: out if rarely found, or not seen by three key frames soon enough.
+/// Judges young points: out if rarely found, or not seen by three keyframes soon enough.
 pub(super) fn cull_recent_points(
     map: &mut Map,
     recent: &mut Vec<PointId>,
@@ -34,13 +34,13 @@ pub(super) fn cull_recent_points(
     });
 }
 
-/// Takes out key frames near the new one whose points others see just as well, and keeps the map below its
+/// Takes out keyframes near the new one whose points others see just as well, and keeps the map below its
 /// cap.
 pub(super) fn cull_keyframes(map: &mut Map, newest: KeyframeId, config: &SlamConfig) {
-    let neighbours: Vec<KeyframeId> = map
+    let neighbors: Vec<KeyframeId> = map
         .keyframe(newest)
         .map_or(Vec::new(), |keyframe| keyframe.covisible().iter().map(|(id, _)| *id).collect());
-    for id in neighbours {
+    for id in neighbors {
         if is_protected(map, id, newest) {
             continue;
         }
@@ -54,7 +54,7 @@ pub(super) fn cull_keyframes(map: &mut Map, newest: KeyframeId, config: &SlamCon
     }
 }
 
-/// Share of a key frame's points and lines that enough others see, points at the same or a finer level.
+/// Share of a keyframe's points and lines that enough others see, points at the same or a finer level.
 fn redundancy(map: &Map, keyframe: &Keyframe) -> f64 {
     let (mut n_landmarks, mut n_redundant) = (0usize, 0usize);
     for (feature_idx, id) in keyframe.observed_points() {
@@ -81,10 +81,11 @@ fn redundancy(map: &Map, keyframe: &Keyframe) -> f64 {
 fn is_protected(map: &Map, id: KeyframeId, newest: KeyframeId) -> bool {
     let keyframe = map.keyframe(id);
     let parent = keyframe.and_then(|keyframe| map.keyframe(keyframe.parent?));
-    // What hangs on a removed key frame is measured in its unit, so only one of the same unit can take its
+    // What hangs on a removed keyframe is measured in its unit, so only one of the same unit can take its
     // place.
-    let same_unit =
-        |keyframe: &Keyframe, parent: &Keyframe| (keyframe.unit / parent.unit).ln().abs() < MAX_UNIT_STEP;
+    let same_unit = |keyframe: &Keyframe, parent: &Keyframe| {
+        (keyframe.local_scale / parent.local_scale).ln().abs() < MAX_LOCAL_SCALE_STEP
+    };
     let is_held = !keyframe.zip(parent).is_some_and(|(keyframe, parent)| same_unit(keyframe, parent));
     is_held || newest.get() - id.get().min(newest.get()) <= N_PROTECTED
 }

@@ -1,17 +1,17 @@
-//! Joining points of neighbouring keyframes that are the same and adding observations that were missed.
+//! Joining points of neighboring keyframes that are the same and adding observations that were missed.
 
-use super::neighbours;
+use super::neighbors;
 use crate::config::SlamConfig;
 use crate::map::{KeyframeId, Map, PointId};
 use crate::matching::fuse_into;
 use std::collections::BTreeSet;
 
-/// Neighbours of each neighbour into which points are fused as well.
-const N_SECOND_NEIGHBOURS: usize = 5;
+/// Neighbors of each neighbor into which points are fused as well.
+const N_SECOND_NEIGHBORS: usize = 5;
 
-/// Projects the key frame's points into its neighbours and theirs into it.
-pub(super) fn fuse_with_neighbours(map: &mut Map, id: KeyframeId, config: &SlamConfig) {
-    let targets = targets(map, id, config.mapping.n_fusion_neighbours);
+/// Projects the keyframe's points into its neighbors and theirs into it.
+pub(super) fn fuse_with_neighbors(map: &mut Map, id: KeyframeId, config: &SlamConfig) {
+    let targets = targets(map, id, config.mapping.n_fusion_neighbors);
     let own: Vec<PointId> = observed(map, id).into_iter().collect();
     for target in &targets {
         fuse_into(map, &own, *target, config);
@@ -33,10 +33,10 @@ fn observed(map: &Map, id: KeyframeId) -> BTreeSet<PointId> {
         .map_or(BTreeSet::new(), |keyframe| keyframe.observed_points().map(|(_, id)| id).collect())
 }
 
-fn targets(map: &Map, id: KeyframeId, n_neighbours: usize) -> Vec<KeyframeId> {
+fn targets(map: &Map, id: KeyframeId, n_neighbors: usize) -> Vec<KeyframeId> {
     let mut targets = Vec::new();
-    for neighbour in neighbours(map, id, n_neighbours) {
-        for target in std::iter::once(neighbour).chain(neighbours(map, neighbour, N_SECOND_NEIGHBOURS)) {
+    for neighbor in neighbors(map, id, n_neighbors) {
+        for target in std::iter::once(neighbor).chain(neighbors(map, neighbor, N_SECOND_NEIGHBORS)) {
             if target != id && !targets.contains(&target) {
                 targets.push(target);
             }

@@ -1,7 +1,7 @@
 //! Where global bundle adjustment runs: at once, or on a thread of its own beside tracking and mapping.
 
-use super::camera::{Look, look};
-use crate::bundle::calibration::Doubt;
+use super::intrinsics::{IntrinsicsCheck, check_intrinsics};
+use crate::bundle::calibration::IntrinsicsDoubt;
 use crate::bundle::global::{GlobalResult, adjust};
 use crate::config::{SlamConfig, Threading};
 use crate::map::{Map, SubmapId};
@@ -21,20 +21,22 @@ pub(super) enum Task {
     /// Poses, landmarks and primitives of a submap are adjusted.
     AdjustMap,
     /// The camera is looked at, and the submap adjusted to it if it turns out to be another than was thought.
-    LookAtCamera { doubt: Option<Doubt> },
+    CheckIntrinsics { doubt: Option<IntrinsicsDoubt> },
 }
 
 /// What came of it.
 pub(super) enum Done {
     Adjusted(GlobalResult),
-    Looked(Look),
+    CheckedIntrinsics(IntrinsicsCheck),
 }
 
 impl Task {
     fn run(self, map: &Map, submap: SubmapId, config: &SlamConfig, abort: &AtomicBool) -> Option<Done> {
         match self {
             Self::AdjustMap => adjust(map, submap, config, abort).map(Done::Adjusted),
-            Self::LookAtCamera { doubt } => look(map, submap, doubt, config, abort).map(Done::Looked),
+            Self::CheckIntrinsics { doubt } => {
+                check_intrinsics(map, submap, doubt, config, abort).map(Done::CheckedIntrinsics)
+            }
         }
     }
 }
@@ -73,8 +75,10 @@ impl GlobalStage {
     }
 
     /// Whether the camera is being looked at.
-    pub fn is_at_camera(&self) -> bool {
-        self.under_way.as_ref().is_some_and(|under_way| matches!(under_way.task, Task::LookAtCamera { .. }))
+    pub fn is_checking_intrinsics(&self) -> bool {
+        self.under_way
+            .as_ref()
+            .is_some_and(|under_way| matches!(under_way.task, Task::CheckIntrinsics { .. }))
     }
 
     /// Whether nothing is under way.

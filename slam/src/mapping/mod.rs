@@ -1,9 +1,9 @@
 //! Local mapping: extending and maintaining the map, keyframe by keyframe.
 
-mod camera;
 mod culling;
 mod fusion;
 mod global_stage;
+mod intrinsics;
 mod lines;
 mod primitives;
 pub(crate) mod stage;
@@ -11,15 +11,15 @@ mod triangulation;
 
 use crate::bundle;
 use crate::config::{ConfigError, SlamConfig};
-use crate::landmarks::Sightings;
+use crate::landmarks::VisibilityCounts;
 use crate::loops::LoopCloser;
 use crate::map::{
     FramePose, FrameRecord, Keyframe, KeyframeId, Map, MapUpdate, Observation, PointId, SubmapId,
 };
 use crate::report::{LineJudgement, MapEvent};
-use camera::CameraWatch;
 use geometry::nalgebra::Vector3;
 use global_stage::{Done, GlobalStage, Task};
+use intrinsics::IntrinsicsMonitor;
 use lines::LineMapper;
 use primitives::PrimitiveMapper;
 use std::collections::BTreeSet;
@@ -30,12 +30,12 @@ use std::sync::atomic::AtomicBool;
 #[derive(Debug)]
 pub(crate) struct NewKeyframe {
     pub keyframe: Keyframe,
-    /// Where it is relative to its reference key frame. The map may be corrected before the key frame arrives
+    /// Where it is relative to its reference keyframe. The map may be corrected before the keyframe arrives
     /// in it.
     pub place: FramePose,
-    /// How often points were seen since the key frame before.
-    pub sightings: Sightings,
-    /// Frames of the trajectory since the key frame before.
+    /// How often points were seen since the keyframe before.
+    pub visibility: VisibilityCounts,
+    /// Frames of the trajectory since the keyframe before.
     pub frames: Vec<FrameRecord>,
 }
 
@@ -53,7 +53,7 @@ pub(crate) struct InitialMap {
 pub(crate) struct Mapper {
     config: SlamConfig,
     map: Map,
-    /// Points on probation, with the key frame that made them.
+    /// Points on probation, with the keyframe that made them.
     recent_points: Vec<PointId>,
     lines: LineMapper,
     /// Absent where primitives are switched off.
@@ -62,7 +62,7 @@ pub(crate) struct Mapper {
     loops: Option<LoopCloser>,
     global: GlobalStage,
     /// Absent where the calibration is to be taken as it is.
-    camera: Option<CameraWatch>,
+    camera: Option<IntrinsicsMonitor>,
     /// Submaps that grew since they were adjusted by their primitives.
     grown: BTreeSet<SubmapId>,
     /// Corrections of the map that nobody was told of yet.
@@ -78,7 +78,7 @@ impl Mapper {
         let loops = config.features.loop_closing.then(|| LoopCloser::new(&config));
         let global = GlobalStage::new(config.threading);
         let (recent_points, lines, events) = (Vec::new(), LineMapper::default(), Vec::new());
-        let camera = config.features.refine_calibration.then(|| CameraWatch::new(&config.calibration));
+        let camera = config.features.refine_calibration.then(|| IntrinsicsMonitor::new(&config.calibration));
         let grown = BTreeSet::new();
         Ok(Self { config, map, recent_points, lines, primitives, loops, global, camera, grown, events })
     }
@@ -113,7 +113,7 @@ impl Mapper {
         self.update(initial.frames)
     }
 
-    /// Removes every key frame and point of a submap that came to nothing.
+    /// Removes every keyframe and point of a submap that came to nothing.
     pub fn discard(&mut self, submap: SubmapId) -> MapUpdate {
         self.global.cancel();
         self.map.remove_submap(submap);
@@ -122,8 +122,8 @@ impl Mapper {
         self.update(Vec::new())
     }
 
-    /// Takes in a key frame: cull, triangulate, fuse, optimise, cull again. `publish` is shown the map as
-    /// soon as it has its new points, since tracking waits for them; `abort` cuts optimisation short.
+    /// Takes in a keyframe: cull, triangulate, fuse, optimize, cull again. `publish` is shown the map as
+    /// soon as it has its new points, since tracking waits for them; `abort` cuts optimization short.
     pub fn add_keyframe(
         &mut self,
         new: NewKeyframe,
@@ -132,29 +132,29 @@ impl Mapper {
     ) -> MapUpdate {
         self.take_over_global(false);
         let id = new.keyframe.id;
-        for (point, n_visible, n_found) in new.sightings.iter() {
-            self.map.count_sightings(point, n_visible, n_found);
+        for (point, n_visible, n_found) in new.visibility.iter() {
+            self.map.count_visibility(point, n_visible, n_found);
         }
-        for (line, n_visible, n_found) in new.sightings.lines() {
-            self.map.count_line_sightings(line, n_visible, n_found);
+        for (line, n_visible, n_found) in new.visibility.lines() {
+            self.map.count_line_visibility(line, n_visible, n_found);
         }
         if !self.insert(new.keyframe, &new.place) {
             return self.update(new.frames);
         }
         culling::cull_recent_points(&mut self.map, &mut self.recent_points, id, &self.config.mapping);
-        let made = triangulation::triangulate_with_neighbours(&mut self.map, id, &self.config.mapping);
+        let made = triangulation::triangulate_with_neighbors(&mut self.map, id, &self.config.mapping);
         self.recent_points.extend(made);
-        fusion::fuse_with_neighbours(&mut self.map, id, &self.config);
+        fusion::fuse_with_neighbors(&mut self.map, id, &self.config);
         self.lines.extend(&mut self.map, id, &self.config);
         if let Some(primitives) = &mut self.primitives {
             primitives.extend(&mut self.map, id, &self.config);
         }
         publish(&self.map);
-        bundle::local::optimise(&mut self.map, id, &self.config, abort);
+        bundle::local::optimize(&mut self.map, id, &self.config, abort);
         culling::cull_keyframes(&mut self.map, id, &self.config);
         publish(&self.map);
         self.close_loops(id);
-        self.look_at_camera(1.0);
+        self.check_intrinsics(1.0);
         self.update(new.frames)
     }
 
@@ -174,37 +174,37 @@ impl Mapper {
     pub fn settle(&mut self) -> MapUpdate {
         self.take_over_global(true);
         // A short recording ends between two times of looking at the camera.
-        self.look_at_camera(1.0 / self.config.calibration.growth);
+        self.check_intrinsics(1.0 / self.config.calibration.growth);
         self.take_over_global(true);
         self.adjust_by_primitives();
         self.update(Vec::new())
     }
 
     /// Waits for the look at the camera that is under way, if any. Returns whether there was one.
-    pub fn settle_camera(&mut self) -> bool {
-        let was_under_way = self.global.is_at_camera();
+    pub fn settle_intrinsics(&mut self) -> bool {
+        let was_under_way = self.global.is_checking_intrinsics();
         if was_under_way {
             self.take_over_global(true);
         }
         was_under_way
     }
 
-    /// Looks at the camera if there are enough key frames for it, or `share` of those planned.
-    fn look_at_camera(&mut self, share: f64) {
+    /// Looks at the camera if there are enough keyframes for it, or `share` of those planned.
+    fn check_intrinsics(&mut self, share: f64) {
         let Some(camera) = self.camera.as_mut().filter(|_| self.global.is_idle()) else { return };
         let Some(submap) = camera.is_due(&self.map, share, &self.config.calibration) else { return };
-        let task = Task::LookAtCamera { doubt: camera.doubt() };
+        let task = Task::CheckIntrinsics { doubt: camera.doubt() };
         let done = self.global.start(task, &self.map, submap, &self.config);
         self.take_over(done);
     }
 
     /// Adjusts the submaps that grew, and whose primitives reach farther than sight, as a whole: until then
-    /// each window knew what primitives say of it, and held on to neighbours that had been placed knowing
+    /// each window knew what primitives say of it, and held on to neighbors that had been placed knowing
     /// less.
     fn adjust_by_primitives(&mut self) {
         let grown = std::mem::take(&mut self.grown);
         // A wrong camera bends the whole to suit itself; piece by piece it does less harm.
-        let is_camera_wrong = self.camera.as_ref().is_some_and(CameraWatch::is_contradicted);
+        let is_camera_wrong = self.camera.as_ref().is_some_and(IntrinsicsMonitor::is_contradicted);
         if self.primitives.is_none() || is_camera_wrong {
             return;
         }
@@ -219,7 +219,7 @@ impl Mapper {
         }
     }
 
-    /// Recognises the place the key frame shows, corrects the map by it, and has all of it adjusted.
+    /// Recognizes the place the keyframe shows, corrects the map by it, and has all of it adjusted.
     fn close_loops(&mut self, id: KeyframeId) {
         let Some(closed) = self.loops.as_mut().and_then(|loops| loops.close(&mut self.map, id)) else {
             return;
@@ -242,9 +242,9 @@ impl Mapper {
         let result = match done {
             None => None,
             Some(Done::Adjusted(result)) => Some(result),
-            Some(Done::Looked(look)) => {
-                self.events.extend(self.camera.as_mut().and_then(|camera| camera.learn(&look)));
-                look.adjusted
+            Some(Done::CheckedIntrinsics(check)) => {
+                self.events.extend(self.camera.as_mut().and_then(|camera| camera.note(&check)));
+                check.adjusted
             }
         };
         if let Some(result) = result {
@@ -252,7 +252,7 @@ impl Mapper {
         }
     }
 
-    /// Puts a key frame into the map where its reference now is. `false` if that has gone with its submap.
+    /// Puts a keyframe into the map where its reference now is. `false` if that has gone with its submap.
     fn insert(&mut self, mut keyframe: Keyframe, place: &FramePose) -> bool {
         let Some((anchor, (submap, camera_from_world))) =
             self.map.anchor_of(place.reference).zip(self.map.locate(place))
@@ -261,7 +261,7 @@ impl Mapper {
         };
         keyframe.parent = Some(anchor.id);
         (keyframe.submap, keyframe.camera_from_world) = (submap, camera_from_world);
-        keyframe.unit = anchor.unit;
+        keyframe.local_scale = anchor.local_scale;
         let id = keyframe.id;
         self.map.add_keyframe(keyframe);
         self.grown.insert(submap);
@@ -291,9 +291,9 @@ impl Mapper {
     }
 }
 
-/// Key frames around one, strongest ties first.
-fn neighbours(map: &Map, id: KeyframeId, n: usize) -> Vec<KeyframeId> {
+/// Keyframes around one, strongest ties first.
+fn neighbors(map: &Map, id: KeyframeId, n: usize) -> Vec<KeyframeId> {
     map.keyframe(id).map_or(Vec::new(), |keyframe| {
-        keyframe.covisible().iter().take(n).map(|(neighbour, _)| *neighbour).collect()
+        keyframe.covisible().iter().take(n).map(|(neighbor, _)| *neighbor).collect()
     })
 }

@@ -11,8 +11,8 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-/// Key frames that may wait for mapping. When it is full a lossless session waits, a real-time one makes no
-/// key frame.
+/// Keyframes that may wait for mapping. When it is full a lossless session waits, a real-time one makes no
+/// keyframe.
 const QUEUE_LENGTH: usize = 1;
 /// Updates that may wait to be fetched; beyond it the newest two are joined.
 const MAX_WAITING_UPDATES: usize = 16;
@@ -97,7 +97,7 @@ impl MappingStage {
         std::mem::take(&mut *lock(&self.shared().line_judgements)).into()
     }
 
-    /// Whether a key frame would be taken in at once.
+    /// Whether a keyframe would be taken in at once.
     pub fn is_idle(&self) -> bool {
         match self {
             Self::Inline { .. } => true,
@@ -111,8 +111,8 @@ impl MappingStage {
         self.wait();
     }
 
-    /// Takes in a key frame. In the background, waits only while the queue is full. `hurry` cuts short the
-    /// optimisation that is under way.
+    /// Takes in a keyframe. In the background, waits only while the queue is full. `hurry` cuts short the
+    /// optimization that is under way.
     pub fn add_keyframe(&mut self, new: NewKeyframe, hurry: bool) {
         if let Self::Background(background) = self {
             background.abort.fetch_or(hurry, Ordering::Relaxed);
@@ -217,7 +217,7 @@ impl Shared {
             Request::Barrier(done) => {
                 // Whoever waits for mapping would see the camera change at one frame or the next, as chance
                 // has it.
-                if mapper.settle_camera() {
+                if mapper.settle_intrinsics() {
                     let update = mapper.record(Vec::new());
                     self.hand_out(mapper, update);
                 }

@@ -6,7 +6,7 @@ use crate::map::{KeyframeId, Map, Observation, PointId};
 use optim::chi2_95;
 use vision::matching::STRICT_DISTANCE;
 
-/// Looks for points in a key frame: one already explained there is joined with what explains it, a free one
+/// Looks for points in a keyframe: one already explained there is joined with what explains it, a free one
 /// seen.
 pub(crate) fn fuse_into(map: &mut Map, points: &[PointId], target: KeyframeId, config: &SlamConfig) -> usize {
     let min_view_cosine = config.tracking.max_view_angle_deg.to_radians().cos();
@@ -35,7 +35,7 @@ pub(crate) fn fuse_into(map: &mut Map, points: &[PointId], target: KeyframeId, c
     n_fused
 }
 
-/// The keypoint with which a key frame sees a point that it is not known to see.
+/// The keypoint with which a keyframe sees a point that it is not known to see.
 fn find_in_keyframe(
     map: &Map,
     id: PointId,
@@ -48,11 +48,11 @@ fn find_in_keyframe(
     if point.observation_in(target).is_some() {
         return None;
     }
-    let centre = keyframe.camera_from_world.centre();
+    let center = keyframe.camera_from_world.center();
     let view =
-        PredictedView::of(point, &keyframe.camera_from_world, &centre, &keyframe.features, min_view_cosine)?;
+        PredictedView::of(point, &keyframe.camera_from_world, &center, &keyframe.features, min_view_cosine)?;
     let features = &keyframe.features;
-    // Keypoints that disagree with the projection are passed over, so that a neighbour of the right one
+    // Keypoints that disagree with the projection are passed over, so that a neighbor of the right one
     // cannot win.
     let disagrees = |idx: usize| {
         let sigma = features.sigma_px(idx);

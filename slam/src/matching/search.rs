@@ -30,7 +30,7 @@ impl PredictedView {
     pub fn of(
         point: &PointLandmark,
         camera_from_world: &Pose,
-        centre: &geometry::nalgebra::Vector3<f64>,
+        center: &geometry::nalgebra::Vector3<f64>,
         features: &FrameFeatures,
         min_view_cosine: f64,
     ) -> Option<Self> {
@@ -42,13 +42,13 @@ impl PredictedView {
         if !features.contains(&pixel) {
             return None;
         }
-        let from_centre = point.position - centre;
-        let distance = from_centre.norm();
+        let from_center = point.position - center;
+        let distance = from_center.norm();
         let (nearest, farthest) = point.distance_range;
         if distance < nearest * (1.0 - RANGE_TOLERANCE) || distance > farthest * (1.0 + RANGE_TOLERANCE) {
             return None;
         }
-        let view_cosine = from_centre.dot(&point.mean_view_direction) / distance;
+        let view_cosine = from_center.dot(&point.mean_view_direction) / distance;
         if view_cosine < min_view_cosine {
             return None;
         }
@@ -72,7 +72,7 @@ impl PredictedView {
 /// Where to look for a keypoint, and how alike it must look.
 #[derive(Clone, Debug)]
 pub(crate) struct Window {
-    /// Centre of a square, undistorted pixels.
+    /// Center of a square, undistorted pixels.
     pub pixel: Vector2<f64>,
     /// Half its side, pixels.
     pub radius_px: f64,
@@ -176,7 +176,7 @@ pub(crate) fn search_by_motion<'a>(
 /// [method: Descriptor matching]
 const UNGUIDED_RATIO: f32 = 0.75;
 
-/// Matches a key frame's points with a frame by descriptors alone. Returns `(keypoint of the frame, point)`
+/// Matches a keyframe's points with a frame by descriptors alone. Returns `(keypoint of the frame, point)`
 /// pairs.
 pub(crate) fn match_keyframe(keyframe: &Keyframe, features: &FrameFeatures) -> Vec<(usize, PointId)> {
     let mut rotation = RotationConsistency::new();

@@ -5,7 +5,7 @@ use crate::backfill::Backfill;
 use crate::clock::Clock;
 use crate::config::{ConfigError, SlamConfig, Threading};
 use crate::front_end::FrontEnd;
-use crate::initialisation::Initialiser;
+use crate::initialization::Initializer;
 use crate::input::{ResumeError, ResumeState};
 use crate::map::{Map, MapUpdate};
 use crate::mapping::Mapper;
@@ -26,7 +26,7 @@ impl Pipeline {
         Self::resume(config, camera, clock, ResumeState::default())
     }
 
-    /// A session that goes on with a stored map: it relocalises in it and continues.
+    /// A session that goes on with a stored map: it relocalizes in it and continues.
     ///
     /// # Errors
     /// If the configuration cannot be used or the stored map is inconsistent.
@@ -38,7 +38,7 @@ impl Pipeline {
     ) -> Result<Self, ResumeError> {
         config.validate()?;
         let map = Map::from_parts(state.map)?;
-        // Numbers of tracks begin anew with each run and must not meet those of stored key frames.
+        // Numbers of tracks begin anew with each run and must not meet those of stored keyframes.
         let segments = map.keyframes().flat_map(|keyframe| &keyframe.features.lines);
         let first_track = segments.map(|segment| segment.track + 1).max().unwrap_or(0);
         let mut front_end = FrontEnd::new(&config, &camera, first_track)?;
@@ -60,7 +60,7 @@ impl Pipeline {
             front_end,
             mapping,
             tracker,
-            initialiser: is_empty.then(|| Initialiser::new(&config)),
+            initializer: is_empty.then(|| Initializer::new(&config)),
             backfill: Backfill::new(config.clone()),
             submaps: SubmapPolicy::resume(config.submaps.clone(), &map),
             trajectory: TrajectoryLog::default(),
@@ -105,7 +105,7 @@ impl Pipeline {
     }
 
     /// How tracking waits for mapping: `true` (the default) lets it finish before each frame, while the
-    /// frame's features are looked for, and leaves no key frame out; `false` never waits.
+    /// frame's features are looked for, and leaves no keyframe out; `false` never waits.
     pub fn set_lossless(&mut self, lossless: bool) {
         self.lossless = lossless;
     }
@@ -117,8 +117,8 @@ impl Pipeline {
 
     /// Matches are scarce before there is a map, so more features are asked for.
     pub(super) fn choose_n_features(&mut self) {
-        let n_features = match &self.initialiser {
-            Some(_) => self.config.initialisation.n_features.max(self.config.orb.n_features),
+        let n_features = match &self.initializer {
+            Some(_) => self.config.initialization.n_features.max(self.config.orb.n_features),
             None => self.config.orb.n_features,
         };
         self.front_end.set_n_features(n_features);

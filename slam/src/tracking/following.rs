@@ -15,7 +15,7 @@ use vision::GrayImage;
 /// A gap in time longer than this many frame intervals is not bridged by the motion model: half a second of
 /// video.
 const MAX_EXTRAPOLATION: f64 = 15.0;
-/// Frames after a relocalisation in which the local map is searched more widely, and how much.
+/// Frames after a relocalization in which the local map is searched more widely, and how much.
 const WIDE_SEARCH_FRAMES: u64 = 10;
 const WIDE_SEARCH_FACTOR: f64 = 2.5;
 
@@ -24,8 +24,8 @@ pub(super) struct LastFrame {
     pub frame: TrackedFrame,
     pub image: Option<Arc<GrayImage>>,
     pub place: FramePose,
-    /// The [unit](crate::map::Keyframe::unit) of the reference key frame when the motion was measured.
-    pub unit: f64,
+    /// The [unit](crate::map::Keyframe::unit) of the reference keyframe when the motion was measured.
+    pub local_scale: f64,
     /// `camera_now_from_camera_before` over the last interval, and that interval, nanoseconds.
     pub motion: Option<(Pose, i64)>,
 }
@@ -37,7 +37,7 @@ struct Followed {
 }
 
 impl Tracker {
-    /// By the motion so far, or, where little is found by that, by what the reference key frame sees or by
+    /// By the motion so far, or, where little is found by that, by what the reference keyframe sees or by
     /// the images.
     pub(super) fn follow(&self, last: &LastFrame, view: &View, map: &Map) -> Option<TrackedFrame> {
         let predicted = last.predict(view.timestamp_ns);
@@ -91,7 +91,7 @@ impl Tracker {
         self.place_followed(frame, map)
     }
 
-    /// Points of the reference key frame, recognised by their descriptors, starting from the last pose.
+    /// Points of the reference keyframe, recognized by their descriptors, starting from the last pose.
     fn follow_reference(&self, last: &LastFrame, mut frame: TrackedFrame, map: &Map) -> Option<Followed> {
         let reference = map.keyframe(last.frame.reference)?;
         let matches = match_keyframe(reference, &frame.features);
@@ -124,13 +124,13 @@ impl Tracker {
             frame.reference = reference;
             frame.submap = map.keyframe(reference).map_or(frame.submap, |keyframe| keyframe.submap);
         }
-        let wide = self.n_since_relocalisation.is_some_and(|n| n < WIDE_SEARCH_FRAMES);
+        let wide = self.n_since_relocalization.is_some_and(|n| n < WIDE_SEARCH_FRAMES);
         let radius = config.map_search_radius_px * if wide { WIDE_SEARCH_FACTOR } else { 1.0 };
-        let n_visible = self.local_map.search(map, frame, radius, config, &mut self.sightings);
-        self.local_map.search_lines(map, frame, &self.config.lines, &mut self.sightings);
+        let n_visible = self.local_map.search(map, frame, radius, config, &mut self.visibility);
+        self.local_map.search_lines(map, frame, &self.config.lines, &mut self.visibility);
         let placement = place_frame(frame, map, &self.config.primitives);
-        frame.points.iter().flatten().for_each(|id| self.sightings.found(*id));
-        frame.lines.iter().flatten().for_each(|id| self.sightings.line_found(*id));
+        frame.points.iter().flatten().for_each(|id| self.visibility.found(*id));
+        frame.lines.iter().flatten().for_each(|id| self.visibility.line_found(*id));
         // Of crowded places the extractor picks only so many keypoints.
         (placement, n_visible.min(frame.features.len()))
     }

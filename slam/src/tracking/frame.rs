@@ -36,13 +36,13 @@ pub(crate) struct TrackedFrame {
     /// The primitive each segment runs along.
     pub primitives: Vec<Option<PrimitiveId>>,
     pub camera_from_world: Pose,
-    /// The key frame that shares the most points with this one.
+    /// The keyframe that shares the most points with this one.
     pub reference: KeyframeId,
     pub submap: SubmapId,
 }
 
 impl TrackedFrame {
-    /// A frame in which nothing has been recognised yet.
+    /// A frame in which nothing has been recognized yet.
     pub fn blank(view: &View, camera_from_world: Pose, reference: KeyframeId, submap: SubmapId) -> Self {
         let (n_points, n_segments) = (view.features.len(), view.features.lines.len());
         Self {
@@ -58,7 +58,7 @@ impl TrackedFrame {
         }
     }
 
-    /// The frame's place in the trajectory, relative to its reference key frame as it stands in `map`.
+    /// The frame's place in the trajectory, relative to its reference keyframe as it stands in `map`.
     pub fn pose_in(&self, map: &Map) -> Option<FramePose> {
         map.place_beside(self.reference, &self.camera_from_world)
     }
@@ -75,7 +75,7 @@ impl TrackedFrame {
         points.chain(samples).map(|position| self.camera_from_world.transform(&position)).collect()
     }
 
-    /// Makes the frame a key frame with the given identity.
+    /// Makes the frame a keyframe with the given identity.
     pub fn to_keyframe(&self, id: KeyframeId, parent: Option<KeyframeId>) -> Keyframe {
         Keyframe {
             id,
@@ -83,7 +83,7 @@ impl TrackedFrame {
             sequence: self.sequence,
             timestamp_ns: self.timestamp_ns,
             camera_from_world: self.camera_from_world,
-            unit: 1.0,
+            local_scale: 1.0,
             features: self.features.clone(),
             points: self.points.clone(),
             lines: self.lines.clone(),

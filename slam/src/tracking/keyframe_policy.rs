@@ -7,7 +7,7 @@ use crate::map::{KeyframeId, Map, PointId};
 use geometry::nalgebra::Vector2;
 use std::collections::BTreeMap;
 
-/// A point counts as established when this many key frames see it, or fewer while the map is younger than
+/// A point counts as established when this many keyframes see it, or fewer while the map is younger than
 /// that.
 const ESTABLISHED_OBSERVATIONS: usize = 3;
 /// Common points below which two views have so little in common that the one is news to the other.
@@ -64,10 +64,10 @@ pub(super) fn wants_keyframe(
     frame: &TrackedFrame,
     inliers: Inliers,
     last: Option<&LastKeyframe>,
-    n_since_relocalisation: Option<u64>,
+    n_since_relocalization: Option<u64>,
 ) -> bool {
     if inliers.total() < config.min_inliers
-        || n_since_relocalisation.is_some_and(|n| n < config.settle_frames)
+        || n_since_relocalization.is_some_and(|n| n < config.settle_frames)
     {
         return false;
     }
@@ -87,8 +87,8 @@ pub(super) fn wants_keyframe(
         || share < config.urgent_tracked_share && displacement > config.urgent_displacement
 }
 
-/// Whether points are few and lines could take over: enough segments have been followed since the last key
-/// frame that no line of the map explains, or many more segments are followed than then.
+/// Whether points are few and lines could take over: enough segments have been followed since the last
+/// keyframe that no line of the map explains, or many more segments are followed than then.
 /// [method: Keyframe decision]
 fn lines_are_needed(
     config: &KeyframeConfig,
@@ -106,7 +106,7 @@ fn lines_are_needed(
     n_unexplained >= config.min_followed_segments || frame.features.lines.len() as f64 > n_risen
 }
 
-/// Inliers as a share of the established points that the reference key frame sees.
+/// Inliers as a share of the established points that the reference keyframe sees.
 fn tracked_share(map: &Map, reference: KeyframeId, n_inliers: usize) -> f64 {
     let min_observations = ESTABLISHED_OBSERVATIONS.min(map.n_keyframes());
     n_inliers as f64 / n_established_points(map, reference, min_observations).max(1) as f64

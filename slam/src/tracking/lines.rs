@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// A segment of a known track may lie this many search radii from where its line is expected: the robust pose
 /// decides.
 const TRACK_RADIUS_FACTOR: f64 = 4.0;
-/// Key frames, counted from the newest, whose segments tell which track sees which line.
+/// Keyframes, counted from the newest, whose segments tell which track sees which line.
 const N_TRACK_KEYFRAMES: usize = 5;
 
 /// Which track of segments sees which line.
@@ -19,14 +19,14 @@ pub(super) struct LineTracks {
     lines: BTreeMap<u64, LineId>,
 }
 
-/// The key frames that tell what the live tracks are, oldest first.
+/// The keyframes that tell what the live tracks are, oldest first.
 pub(super) fn newest_keyframes(map: &Map) -> Vec<&Keyframe> {
     let mut keyframes: Vec<&Keyframe> = map.keyframes().collect();
     keyframes.split_off(keyframes.len().saturating_sub(N_TRACK_KEYFRAMES))
 }
 
 impl LineTracks {
-    /// Takes over what mapping found out about the tracks of the newest key frames.
+    /// Takes over what mapping found out about the tracks of the newest keyframes.
     pub fn update(&mut self, map: &Map) {
         for keyframe in newest_keyframes(map) {
             for (idx, id) in keyframe.observed_lines() {

@@ -2,14 +2,14 @@
 
 use super::frame::TrackedFrame;
 use crate::config::{LineConfig, TrackingConfig};
-use crate::landmarks::Sightings;
+use crate::landmarks::VisibilityCounts;
 use crate::map::{KeyframeId, LineId, Map, PointId, PointLandmark};
 use crate::matching::{ExpectedLine, PredictedSegment, PredictedView, Window, find_in_window, match_lines};
 use std::collections::{BTreeMap, BTreeSet};
 use vision::matching::LOOSE_DISTANCE;
 
-/// Neighbours taken in per key frame that shares points with the frame.
-const N_NEIGHBOURS: usize = 10;
+/// Neighbors taken in per keyframe that shares points with the frame.
+const N_NEIGHBORS: usize = 10;
 
 /// Scratch space of the local map, kept between frames so that a steady stream allocates little.
 #[derive(Debug, Default)]
@@ -23,7 +23,7 @@ pub(crate) struct LocalMap {
 }
 
 impl LocalMap {
-    /// Collects what is near the frame. Returns the key frame that shares the most points with it.
+    /// Collects what is near the frame. Returns the keyframe that shares the most points with it.
     pub fn collect(
         &mut self,
         map: &Map,
@@ -45,13 +45,13 @@ impl LocalMap {
         let n_sharing = self.keyframes.len();
         for position in 0..n_sharing {
             let Some(keyframe) = map.keyframe(self.keyframes[position]) else { continue };
-            let neighbours = keyframe.covisible().iter().take(N_NEIGHBOURS).map(|(id, _)| *id);
-            for neighbour in neighbours.chain(keyframe.parent) {
+            let neighbors = keyframe.covisible().iter().take(N_NEIGHBORS).map(|(id, _)| *id);
+            for neighbor in neighbors.chain(keyframe.parent) {
                 if self.keyframes.len() >= config.max_local_keyframes {
                     break;
                 }
-                if !self.keyframes.contains(&neighbour) {
-                    self.keyframes.push(neighbour);
+                if !self.keyframes.contains(&neighbor) {
+                    self.keyframes.push(neighbor);
                 }
             }
         }
@@ -82,10 +82,10 @@ impl LocalMap {
         map: &Map,
         frame: &mut TrackedFrame,
         config: &LineConfig,
-        sightings: &mut Sightings,
+        visibility: &mut VisibilityCounts,
     ) {
         for id in frame.lines.iter().flatten() {
-            sightings.line_visible(*id);
+            visibility.line_visible(*id);
             self.lines.remove(id);
         }
         let expected: Vec<ExpectedLine<'_>> = self
@@ -103,7 +103,7 @@ impl LocalMap {
         {
             frame.lines[segment_idx] = Some(id);
         }
-        expected.iter().for_each(|expected| sightings.line_visible(expected.line.id));
+        expected.iter().for_each(|expected| visibility.line_visible(expected.line.id));
     }
 
     /// Looks for the points of the local map that the frame has not found yet. Returns how many it should see
@@ -114,7 +114,7 @@ impl LocalMap {
         frame: &mut TrackedFrame,
         radius_px: f64,
         config: &TrackingConfig,
-        sightings: &mut Sightings,
+        visibility: &mut VisibilityCounts,
     ) -> usize {
         // A round of its own marks what the frame has already.
         self.round = self.round.wrapping_add(1);
@@ -122,19 +122,19 @@ impl LocalMap {
             if let Some(stamp) = self.stamps.get_mut(id.index()) {
                 *stamp = self.round;
             }
-            sightings.visible(*id);
+            visibility.visible(*id);
         }
         let min_view_cosine = config.max_view_angle_deg.to_radians().cos();
-        let centre = frame.camera_from_world.centre();
+        let center = frame.camera_from_world.center();
         let features = frame.features.clone();
         let mut n_visible = frame.points.iter().flatten().count();
         for id in self.points.iter().filter(|id| self.stamps[id.index()] != self.round) {
             let Some(point) = map.point(*id) else { continue };
             let view =
-                PredictedView::of(point, &frame.camera_from_world, &centre, &features, min_view_cosine);
+                PredictedView::of(point, &frame.camera_from_world, &center, &features, min_view_cosine);
             let Some(view) = view else { continue };
             n_visible += 1;
-            sightings.visible(*id);
+            visibility.visible(*id);
             let window = Window {
                 pixel: view.pixel,
                 radius_px: view.radius_px(radius_px, &features),
@@ -152,7 +152,7 @@ impl LocalMap {
     }
 }
 
-/// Points of a key frame that at least `min_observations` key frames see.
+/// Points of a keyframe that at least `min_observations` keyframes see.
 pub(crate) fn n_established_points(map: &Map, id: KeyframeId, min_observations: usize) -> usize {
     let established = |point: &PointLandmark| point.observations.len() >= min_observations;
     map.keyframe(id).map_or(0, |keyframe| {

@@ -10,11 +10,11 @@ mod local_map;
 mod pose;
 mod primitives;
 mod recovery;
-pub(crate) mod relocalisation;
+pub(crate) mod relocalization;
 
 use crate::config::{ConfigError, SlamConfig};
 use crate::features::View;
-use crate::landmarks::Sightings;
+use crate::landmarks::VisibilityCounts;
 use crate::map::{Map, SubmapId};
 use crate::report::{LostReason, TrackingOutcome};
 use alignment::Aligner;
@@ -28,7 +28,7 @@ use lines::LineTracks;
 use local_map::LocalMap;
 use primitives::PrimitiveTracks;
 use recovery::LastSeen;
-use relocalisation::Relocaliser;
+use relocalization::Relocalizer;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use vision::GrayImage;
@@ -40,7 +40,7 @@ pub(crate) struct Tracked {
     /// The frame, where it has a pose.
     pub frame: Option<TrackedFrame>,
     pub inliers: Inliers,
-    pub relocalised: bool,
+    pub relocalized: bool,
     /// Places that were tried, if the camera had to be looked for.
     pub n_candidates: Option<usize>,
 }
@@ -56,12 +56,12 @@ pub(crate) struct Tracker {
     /// The image of the frame to be tracked.
     image: Option<Arc<GrayImage>>,
     /// Absent where a lost camera is not to be looked for.
-    relocaliser: Option<Relocaliser>,
-    /// How often points were seen since the last key frame.
-    sightings: Sightings,
+    relocalizer: Option<Relocalizer>,
+    /// How often points were seen since the last keyframe.
+    visibility: VisibilityCounts,
     last: Option<LastFrame>,
-    /// Frames since the camera was last found by relocalisation.
-    n_since_relocalisation: Option<u64>,
+    /// Frames since the camera was last found by relocalization.
+    n_since_relocalization: Option<u64>,
     last_keyframe: Option<LastKeyframe>,
     /// Time of the frame before, placed or not.
     last_timestamp_ns: Option<i64>,
@@ -76,9 +76,9 @@ impl Tracker {
     /// # Errors
     /// If the configuration of the search for vanishing points cannot be used.
     pub fn new(config: SlamConfig, working_camera: Camera) -> Result<Self, ConfigError> {
-        let relocaliser = Relocaliser::new(&config)?;
+        let relocalizer = Relocalizer::new(&config)?;
         let aligner = Aligner::new(working_camera, config.alignment.clone());
-        Ok(Self { relocaliser: Some(relocaliser), aligner: Some(aligner), ..Self::follower(config) })
+        Ok(Self { relocalizer: Some(relocalizer), aligner: Some(aligner), ..Self::follower(config) })
     }
 
     /// A tracker that only follows: once lost it stays lost.
@@ -90,10 +90,10 @@ impl Tracker {
             primitive_tracks: PrimitiveTracks::default(),
             aligner: None,
             image: None,
-            relocaliser: None,
-            sightings: Sightings::default(),
+            relocalizer: None,
+            visibility: VisibilityCounts::default(),
             last: None,
-            n_since_relocalisation: None,
+            n_since_relocalization: None,
             last_keyframe: None,
             last_timestamp_ns: None,
             last_seen: BTreeMap::new(),
@@ -108,15 +108,15 @@ impl Tracker {
     /// Starts following from a frame whose pose is known.
     pub fn start(&mut self, frame: TrackedFrame, map: &Map) {
         self.last_keyframe = Some(LastKeyframe::of(&frame));
-        self.n_since_relocalisation = None;
+        self.n_since_relocalization = None;
         self.last_timestamp_ns = Some(frame.timestamp_ns);
         self.remember(frame, map, None);
     }
 
     /// Takes over corrections that mapping made since the last frame.
     pub fn sync_map(&mut self, map: &Map) {
-        if let Some(relocaliser) = &mut self.relocaliser {
-            relocaliser.update(map);
+        if let Some(relocalizer) = &mut self.relocalizer {
+            relocalizer.update(map);
         }
         if let Some(aligner) = &mut self.aligner {
             aligner.correct_camera(map.correction());
@@ -132,9 +132,9 @@ impl Tracker {
         };
         (last.frame.submap, last.frame.camera_from_world) = (submap, camera_from_world);
         if let Some((motion, _)) = &mut last.motion {
-            motion.translation *= anchor.unit / last.unit;
+            motion.translation *= anchor.local_scale / last.local_scale;
         }
-        last.unit = anchor.unit;
+        last.local_scale = anchor.local_scale;
     }
 
     /// How much the camera should have turned since the last frame, if it was placed and the motion is known.
@@ -149,14 +149,14 @@ impl Tracker {
         self.last.as_ref().map(|last| &last.frame)
     }
 
-    /// Forgets where the camera was: the next frame is relocalised.
+    /// Forgets where the camera was: the next frame is relocalized.
     pub fn forget(&mut self) {
         self.last = None;
     }
 
     /// Hands out how often points were seen and begins counting anew.
-    pub fn take_sightings(&mut self) -> Sightings {
-        std::mem::take(&mut self.sightings)
+    pub fn take_visibility_counts(&mut self) -> VisibilityCounts {
+        std::mem::take(&mut self.visibility)
     }
 
     /// Finds the pose of a frame in the map.
@@ -178,18 +178,18 @@ impl Tracker {
             let outcome = judge(&placement, n_expected, self.is_coasting(), &self.config.tracking);
             return self.conclude(frame, placement.inliers, outcome, false, map);
         }
-        let found = self.relocalise(view, map, None);
-        let n_candidates = self.relocaliser.as_ref().map_or(0, Relocaliser::n_candidates);
+        let found = self.relocalize(view, map, None);
+        let n_candidates = self.relocalizer.as_ref().map_or(0, Relocalizer::n_candidates);
         match found {
             Some((frame, inliers, outcome)) => self.conclude(frame, inliers, outcome, true, map),
             None => {
-                let lost = self.lose(view.timestamp_ns, LostReason::NotRelocalised { n_candidates });
+                let lost = self.lose(view.timestamp_ns, LostReason::NotRelocalized { n_candidates });
                 Tracked { n_candidates: Some(n_candidates), ..lost }
             }
         }
     }
 
-    /// Whether a frame with these inliers should become a key frame.
+    /// Whether a frame with these inliers should become a keyframe.
     pub fn wants_keyframe(&self, frame: &TrackedFrame, inliers: Inliers, map: &Map) -> bool {
         keyframe_policy::wants_keyframe(
             &self.config.keyframes,
@@ -197,11 +197,11 @@ impl Tracker {
             frame,
             inliers,
             self.last_keyframe.as_ref(),
-            self.n_since_relocalisation,
+            self.n_since_relocalization,
         )
     }
 
-    /// Notes that a frame became a key frame.
+    /// Notes that a frame became a keyframe.
     pub fn became_keyframe(&mut self, frame: &TrackedFrame) {
         self.last_keyframe = Some(LastKeyframe::of(frame));
     }
@@ -212,16 +212,16 @@ impl Tracker {
         frame: TrackedFrame,
         inliers: Inliers,
         outcome: TrackingOutcome,
-        relocalised: bool,
+        relocalized: bool,
         map: &Map,
     ) -> Tracked {
         if let TrackingOutcome::Lost(reason) = outcome {
             return self.lose(frame.timestamp_ns, reason);
         }
-        if let Some(n) = self.n_since_relocalisation.as_mut().filter(|_| !relocalised) {
+        if let Some(n) = self.n_since_relocalization.as_mut().filter(|_| !relocalized) {
             *n += 1;
         }
-        let motion = self.last.as_ref().filter(|_| !relocalised).map(|last| {
+        let motion = self.last.as_ref().filter(|_| !relocalized).map(|last| {
             let motion = frame.camera_from_world * last.frame.camera_from_world.inverse();
             (motion, frame.timestamp_ns - last.frame.timestamp_ns)
         });
@@ -231,15 +231,15 @@ impl Tracker {
         let is_good = matches!(outcome, TrackingOutcome::Tracked);
         self.note_seen(&frame, motion.as_ref().filter(|_| is_good), map);
         self.remember(frame.clone(), map, motion);
-        let searched = self.relocaliser.as_ref().filter(|_| relocalised);
-        let n_candidates = searched.map(Relocaliser::n_candidates);
-        Tracked { outcome, frame: Some(frame), inliers, relocalised, n_candidates }
+        let searched = self.relocalizer.as_ref().filter(|_| relocalized);
+        let n_candidates = searched.map(Relocalizer::n_candidates);
+        Tracked { outcome, frame: Some(frame), inliers, relocalized, n_candidates }
     }
 
     fn remember(&mut self, frame: TrackedFrame, map: &Map, motion: Option<(Pose, i64)>) {
-        let unit = map.anchor_of(frame.reference).map_or(1.0, |anchor| anchor.unit);
+        let local_scale = map.anchor_of(frame.reference).map_or(1.0, |anchor| anchor.local_scale);
         let image = self.image.clone();
-        self.last = frame.pose_in(map).map(|place| LastFrame { frame, image, place, unit, motion });
+        self.last = frame.pose_in(map).map(|place| LastFrame { frame, image, place, local_scale, motion });
     }
 
     /// Whether the frame before had no pose.
@@ -247,7 +247,7 @@ impl Tracker {
         self.last.as_ref().is_some_and(|last| self.last_timestamp_ns != Some(last.frame.timestamp_ns))
     }
 
-    /// For a while the camera is looked for where it was heading; after that only by recognising places.
+    /// For a while the camera is looked for where it was heading; after that only by recognizing places.
     fn lose(&mut self, timestamp_ns: i64, reason: LostReason) -> Tracked {
         let max_coasting_ns = self.config.tracking.max_coasting_ns;
         let is_recent = |last: &LastFrame| (timestamp_ns - last.frame.timestamp_ns).abs() <= max_coasting_ns;
@@ -256,7 +256,7 @@ impl Tracker {
             outcome: TrackingOutcome::Lost(reason),
             frame: None,
             inliers: Inliers::default(),
-            relocalised: false,
+            relocalized: false,
             n_candidates: None,
         }
     }

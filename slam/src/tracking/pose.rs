@@ -15,12 +15,12 @@ use optim::{HoldSecond, Kernel, SingleOptions, UnaryGroup, chi2_95, optimize_sin
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A keypoint and the fixed point it sees, as a term of the pose alone.
-type PointSighting = HoldSecond<PointReprojectionFactor, Vector3<f64>>;
+type PointObservation = HoldSecond<PointReprojectionFactor, Vector3<f64>>;
 /// A segment and the fixed line it sees, likewise.
-type LineSighting = HoldSecond<LineReprojectionFactor, OrthonormalLine>;
+type LineObservation = HoldSecond<LineReprojectionFactor, OrthonormalLine>;
 
 /// A segment and the fixed direction it runs along, likewise.
-type DirectionSighting = HoldSecond<VanishingReprojectionFactor, Direction>;
+type VanishingObservation = HoldSecond<VanishingReprojectionFactor, Direction>;
 
 /// A frame's pose as its landmarks determine it.
 #[derive(Clone, Copy, Debug)]
@@ -41,7 +41,7 @@ pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map, config: &Primitiv
             *slot = None;
             continue;
         };
-        points.push(point_sighting(&frame.features, feature_idx, point.position));
+        points.push(point_observation(&frame.features, feature_idx, point.position));
         point_slots.push(feature_idx);
     }
     let (mut line_slots, mut lines) = (Vec::with_capacity(frame.lines.len()), Vec::new());
@@ -52,12 +52,12 @@ pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map, config: &Primitiv
             continue;
         };
         let factor = line.factor(frame.features.pinhole, &frame.features.lines[feature_idx]);
-        lines.push(LineSighting { factor, second: line.line });
+        lines.push(LineObservation { factor, second: line.line });
         line_slots.push(feature_idx);
     }
     let mut points = UnaryGroup::new(Kernel::huber_95(2), chi2_95(2), points);
     let mut lines = UnaryGroup::new(Kernel::huber_95(2), chi2_95(2), lines);
-    let directions = direction_sightings(frame, map, config);
+    let directions = vanishing_observations(frame, map, config);
     let mut directions = UnaryGroup::new(Kernel::huber_95(1), chi2_95(1), directions);
     let report = optimize_single::<Pose, 6>(
         &frame.camera_from_world,
@@ -77,7 +77,11 @@ pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map, config: &Primitiv
     }
 }
 
-fn direction_sightings(frame: &TrackedFrame, map: &Map, config: &PrimitiveConfig) -> Vec<DirectionSighting> {
+fn vanishing_observations(
+    frame: &TrackedFrame,
+    map: &Map,
+    config: &PrimitiveConfig,
+) -> Vec<VanishingObservation> {
     let shown: BTreeSet<PrimitiveId> = frame.primitives.iter().flatten().copied().collect();
     let known: BTreeMap<PrimitiveId, (Direction, f64)> = shown
         .into_iter()
@@ -119,7 +123,11 @@ fn median_depth(frame: &TrackedFrame, map: &Map) -> f64 {
     *depths.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-fn point_sighting(features: &FrameFeatures, feature_idx: usize, position: Vector3<f64>) -> PointSighting {
+fn point_observation(
+    features: &FrameFeatures,
+    feature_idx: usize,
+    position: Vector3<f64>,
+) -> PointObservation {
     let factor = PointReprojectionFactor {
         pinhole: features.pinhole,
         observed_px: features.undistorted[feature_idx],

@@ -13,7 +13,7 @@ pub(super) struct PrimitiveTracks {
 }
 
 impl PrimitiveTracks {
-    /// Takes over what mapping found out about the tracks of the newest key frames.
+    /// Takes over what mapping found out about the tracks of the newest keyframes.
     pub fn update(&mut self, map: &Map) {
         for keyframe in newest_keyframes(map) {
             for vanishing in &keyframe.vanishing {

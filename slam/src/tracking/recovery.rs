@@ -20,8 +20,8 @@ pub(super) struct LastSeen {
     timestamp_ns: i64,
     /// Map units per nanosecond, the mean of late.
     speed: f64,
-    /// The unit of the reference key frame that the speed is in.
-    unit: f64,
+    /// The unit of the reference keyframe that the speed is in.
+    local_scale: f64,
 }
 
 impl Tracker {
@@ -29,7 +29,7 @@ impl Tracker {
     /// camera is followed there from now on.
     pub fn find_elsewhere(&mut self, view: &View, map: &Map, except: SubmapId) -> Option<Tracked> {
         let before = self.last.take();
-        match self.relocalise(view, map, Some(except)) {
+        match self.relocalize(view, map, Some(except)) {
             Some((frame, inliers, outcome @ TrackingOutcome::Tracked)) => {
                 Some(self.conclude(frame, inliers, outcome, true, map))
             }
@@ -41,7 +41,7 @@ impl Tracker {
     }
 
     /// Tries the places that look like a frame until one fits that the camera can have reached.
-    pub(super) fn relocalise(
+    pub(super) fn relocalize(
         &mut self,
         view: &View,
         map: &Map,
@@ -52,19 +52,19 @@ impl Tracker {
             .values()
             .filter_map(|seen| seen.reach(map, view.timestamp_ns, &self.config.continuity))
             .collect();
-        for candidate in self.relocaliser.as_mut()?.candidates(view, map, except) {
+        for candidate in self.relocalizer.as_mut()?.candidates(view, map, except) {
             let found = map
                 .keyframe(candidate)
-                .and_then(|keyframe| self.relocaliser.as_mut()?.try_place(view, keyframe, map));
+                .and_then(|keyframe| self.relocalizer.as_mut()?.try_place(view, keyframe, map));
             let Some(mut frame) = found else { continue };
-            let before = (self.n_since_relocalisation.replace(0), self.sightings.clone());
+            let before = (self.n_since_relocalization.replace(0), self.visibility.clone());
             let (placement, n_expected) = self.track_local_map(&mut frame, map);
             let outcome = judge(&placement, n_expected, true, &self.config.tracking);
             let is_lost = matches!(outcome, TrackingOutcome::Lost(_));
             if !is_lost && self.is_credible(&frame, placement.inliers, n_expected, &reaches) {
                 return Some((frame, placement.inliers, outcome));
             }
-            (self.n_since_relocalisation, self.sightings) = before;
+            (self.n_since_relocalization, self.visibility) = before;
         }
         None
     }
@@ -80,9 +80,9 @@ impl Tracker {
     ) -> bool {
         // A camera seen a moment ago in another submap is at a place of this one that nothing is known of.
         let reach = reaches.iter().find(|reach| reach.submap == frame.submap);
-        let centre = frame.camera_from_world.centre();
-        if reach.map_or(reaches.is_empty(), |reach| reach.includes(&centre)) {
-            return self.config.relocalisation.is_enough(inliers.total(), n_expected);
+        let center = frame.camera_from_world.center();
+        if reach.map_or(reaches.is_empty(), |reach| reach.includes(&center)) {
+            return self.config.relocalization.is_enough(inliers.total(), n_expected);
         }
         let continuity = &self.config.continuity;
         let share = inliers.total() as f64 / n_expected.max(1) as f64;
@@ -92,24 +92,24 @@ impl Tracker {
     /// Notes where the camera is in its submap and how fast it moves.
     pub(super) fn note_seen(&mut self, frame: &TrackedFrame, motion: Option<&(Pose, i64)>, map: &Map) {
         let Some((place, anchor)) = frame.pose_in(map).zip(map.anchor_of(frame.reference)) else { return };
-        let (timestamp_ns, unit) = (frame.timestamp_ns, anchor.unit);
+        let (timestamp_ns, local_scale) = (frame.timestamp_ns, anchor.local_scale);
         let now =
             motion.map(|(motion, interval_ns)| motion.translation.norm() / interval_ns.abs().max(1) as f64);
         let known = self.last_seen.get(&frame.submap).filter(|seen| seen.speed > 0.0);
-        let before = known.map(|seen| seen.speed * unit / seen.unit);
+        let before = known.map(|seen| seen.speed * local_scale / seen.local_scale);
         let speed = match (before, now) {
             (Some(before), Some(now)) => before + SPEED_UPDATE * (now - before),
             (before, now) => before.or(now).unwrap_or(0.0),
         };
-        self.last_seen.insert(frame.submap, LastSeen { place, timestamp_ns, speed, unit });
+        self.last_seen.insert(frame.submap, LastSeen { place, timestamp_ns, speed, local_scale });
     }
 }
 
 impl LastSeen {
     fn reach(&self, map: &Map, timestamp_ns: i64, config: &ContinuityConfig) -> Option<Reach> {
         let (_, camera_from_world) = map.locate(&self.place)?;
-        let speed = self.speed * map.anchor_of(self.place.reference)?.unit / self.unit;
+        let speed = self.speed * map.anchor_of(self.place.reference)?.local_scale / self.local_scale;
         let elapsed_ns = timestamp_ns - self.timestamp_ns;
-        Reach::from(map, self.place.reference, &camera_from_world.centre(), speed, elapsed_ns, config)
+        Reach::from(map, self.place.reference, &camera_from_world.center(), speed, elapsed_ns, config)
     }
 }

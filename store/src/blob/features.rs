@@ -1,4 +1,4 @@
-//! What the front end measured in a key frame.
+//! What the front end measured in a keyframe.
 //!
 //! Version 1: `u8` version, `u32` number of keypoints `n`, the settings the features belong to (`f64` fx, fy,
 //! cx, cy of the working camera, `u8` pyramid levels, `f64` scale factor), then one column after the other:
@@ -33,14 +33,14 @@ pub(crate) struct FeatureSettings {
     pub pyramid: PyramidGeometry,
 }
 
-/// How much was measured in a key frame.
+/// How much was measured in a keyframe.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct MeasuredCounts {
     pub n_keypoints: usize,
     pub n_segments: usize,
 }
 
-/// Packs a key frame's features.
+/// Packs a keyframe's features.
 pub(crate) fn encode_features(features: &FrameFeatures) -> Vec<u8> {
     let n = features.keypoints.len();
     let mut bytes = Vec::with_capacity(64 + n * KEYPOINT_BYTES + features.lines.len() * SEGMENT_BYTES);

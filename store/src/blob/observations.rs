@@ -1,7 +1,7 @@
 //! Who sees a landmark.
 //!
-//! Version 1: `u8` version, then for each sighting in the order of the key frames' ids two LEB128 numbers,
-//! the key frame's id less the one before (from 0) and the index of the feature:
+//! Version 1: `u8` version, then for each sighting in the order of the keyframes' ids two LEB128 numbers,
+//! the keyframe's id less the one before (from 0) and the index of the feature:
 //! a keypoint for points, a segment for lines, a vanishing point for primitives. Some three bytes a sighting.
 
 use super::BlobError;
@@ -10,7 +10,7 @@ use slam::map::{KeyframeId, Observation};
 
 const VERSION: u8 = 1;
 
-/// Packs sightings, which must be in the order of the key frames' ids.
+/// Packs sightings, which must be in the order of the keyframes' ids.
 pub(crate) fn encode_observations(observations: &[Observation]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(1 + 4 * observations.len());
     bytes.push(VERSION);
@@ -24,7 +24,7 @@ pub(crate) fn encode_observations(observations: &[Observation]) -> Vec<u8> {
     bytes
 }
 
-/// Reverses [`encode_observations`]; key frames come in rising order, each once.
+/// Reverses [`encode_observations`]; keyframes come in rising order, each once.
 pub(crate) fn decode_observations(bytes: &[u8]) -> Result<Vec<Observation>, BlobError> {
     let mut reader = Reader(bytes);
     let version = reader.u8()?;
@@ -68,6 +68,6 @@ mod tests {
         assert!(decode_observations(&bytes[..bytes.len() - 1]).is_err(), "cut short");
         assert!(decode_observations(&[]).is_err(), "no version");
         assert!(decode_observations(&[2, 1, 1]).is_err(), "unknown version");
-        assert!(decode_observations(&[1, 5, 0, 0, 1]).is_err(), "the same key frame twice");
+        assert!(decode_observations(&[1, 5, 0, 0, 1]).is_err(), "the same keyframe twice");
     }
 }

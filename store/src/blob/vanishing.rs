@@ -1,4 +1,4 @@
-//! Vanishing points of a key frame.
+//! Vanishing points of a keyframe.
 //!
 //! Version 1: `u8` version, then for each vanishing point `f64` x, y, z of its direction, nine `f64` of its
 //! covariance row by row, the number of its segments and their indices as LEB128 numbers. Which primitives

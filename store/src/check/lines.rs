@@ -2,7 +2,7 @@
 
 use super::points::has_cell;
 use super::taken::Taken;
-use super::{Measured, Problems};
+use super::{Findings, Measured};
 use crate::StoreError;
 use crate::lines::{LINE_COLUMNS, N_LINE_COLUMNS, parse_line};
 use crate::points::cell::{Cell, cell_key};
@@ -21,7 +21,7 @@ pub(super) async fn check_lines(
     session: i64,
     measured: &Measured,
     primitives: &BTreeSet<PrimitiveId>,
-    problems: &mut Problems,
+    problems: &mut Findings,
 ) -> Result<u64, StoreError> {
     let mut segments = Taken::new(["line", "segment"], measured, |[_, n_segments, _]| n_segments);
     let mut n_lines = 0;
@@ -56,7 +56,7 @@ fn check_line(
     line: &LineLandmark,
     segments: &mut Taken,
     primitives: &BTreeSet<PrimitiveId>,
-    problems: &mut Problems,
+    problems: &mut Findings,
 ) {
     let id = line.id;
     if !line.is_finite() {
@@ -67,7 +67,7 @@ fn check_line(
         problems.add(format!("an end of line {id} is not on it"));
     }
     if line.observations.len() < 2 {
-        problems.add(format!("line {id} is seen by {} key frames", line.observations.len()));
+        problems.add(format!("line {id} is seen by {} keyframes", line.observations.len()));
     }
     for seen in &line.observations {
         segments.take(&id, seen.keyframe, seen.feature_idx, problems);

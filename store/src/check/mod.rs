@@ -14,14 +14,14 @@ use std::fmt;
 
 /// Something that is wrong with the database.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Problem {
+pub struct Finding {
     /// The session it concerns; `None` for the whole file.
     pub session: Option<String>,
     /// What is wrong, in a plain sentence.
     pub what: String,
 }
 
-impl fmt::Display for Problem {
+impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.session {
             Some(session) => write!(f, "session {session:?}: {}", self.what),
@@ -30,24 +30,24 @@ impl fmt::Display for Problem {
     }
 }
 
-/// Problems reported per session and for the file: enough to see what happened, and no more memory than that.
+/// Findings reported per session and for the file: enough to see what happened, and no more memory than that.
 const MAX_PROBLEMS: usize = 100;
 
 /// Collects what is wrong with one session, or the file.
-struct Problems {
+struct Findings {
     session: Option<String>,
-    found: Vec<Problem>,
+    found: Vec<Finding>,
     n_more: usize,
 }
 
-impl Problems {
+impl Findings {
     fn new(session: Option<String>) -> Self {
         Self { session, found: Vec::new(), n_more: 0 }
     }
 
     fn add(&mut self, what: impl fmt::Display) {
         if self.found.len() < MAX_PROBLEMS {
-            self.found.push(Problem { session: self.session.clone(), what: what.to_string() });
+            self.found.push(Finding { session: self.session.clone(), what: what.to_string() });
         } else {
             self.n_more += 1;
         }
@@ -65,10 +65,10 @@ impl Problems {
         }
     }
 
-    fn finish(mut self, into: &mut Vec<Problem>) {
+    fn finish(mut self, into: &mut Vec<Finding>) {
         let n_more = self.n_more;
         if n_more > 0 {
-            self.found.push(Problem { session: self.session, what: format!("{n_more} further problems") });
+            self.found.push(Finding { session: self.session, what: format!("{n_more} further problems") });
         }
         into.append(&mut self.found);
     }
@@ -80,12 +80,12 @@ impl Store {
     ///
     /// Checks the file (`integrity_check`, `foreign_key_check`, the R*Tree) and the maps: sessions' cameras
     /// and counts, poses that are finite with unit quaternions, features that can be read, observations of
-    /// key frames and features that exist, removed key frames that hang on something, time that rises with
+    /// keyframes and features that exist, removed keyframes that hang on something, time that rises with
     /// the frames' numbers.
     ///
     /// # Errors
     /// If the database cannot be read at all.
-    pub async fn check(&self) -> Result<Vec<Problem>, StoreError> {
+    pub async fn check(&self) -> Result<Vec<Finding>, StoreError> {
         let mut problems = Vec::new();
         let mut transaction = self.begin_read().await?;
         check_file(&mut transaction, &mut problems).await?;
@@ -93,7 +93,7 @@ impl Store {
             .fetch_all(&mut *transaction)
             .await?;
         for row in sessions {
-            let mut found = Problems::new(Some(row.try_get(1)?));
+            let mut found = Findings::new(Some(row.try_get(1)?));
             check_session(&mut transaction, row.try_get(0)?, &mut found).await?;
             found.finish(&mut problems);
         }
@@ -104,9 +104,9 @@ impl Store {
 
 async fn check_file(
     connection: &mut SqliteConnection,
-    problems: &mut Vec<Problem>,
+    problems: &mut Vec<Finding>,
 ) -> Result<(), StoreError> {
-    let mut found = Problems::new(None);
+    let mut found = Findings::new(None);
     // The argument bounds how many lines are reported.
     let lines: Vec<String> =
         sqlx::query_scalar("PRAGMA integrity_check(100)").fetch_all(&mut *connection).await?;
@@ -126,14 +126,14 @@ async fn check_file(
     Ok(())
 }
 
-/// How many keypoints, segments and vanishing points each key frame has, which observations are checked
+/// How many keypoints, segments and vanishing points each keyframe has, which observations are checked
 /// against.
 type Measured = BTreeMap<KeyframeId, [usize; 3]>;
 
 async fn check_session(
     connection: &mut SqliteConnection,
     session: i64,
-    problems: &mut Problems,
+    problems: &mut Findings,
 ) -> Result<(), StoreError> {
     let row = sqlx::query("SELECT * FROM sessions WHERE number = ?")
         .bind(session)
@@ -151,7 +151,7 @@ async fn check_session(
     problems.note(record.checked_camera())?;
     let counts = [
         ("frames", record.counts.n_frames, n_frames),
-        ("key frames", record.counts.n_keyframes, measured.len() as u64),
+        ("keyframes", record.counts.n_keyframes, measured.len() as u64),
         ("points", record.counts.n_points, n_points),
         ("lines", record.counts.n_lines, n_lines),
         ("primitives", record.counts.n_primitives, primitives.len() as u64),

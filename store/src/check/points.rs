@@ -1,7 +1,7 @@
 //! Checks of points, their observations and their cells.
 
 use super::taken::Taken;
-use super::{Measured, Problems};
+use super::{Findings, Measured};
 use crate::StoreError;
 use crate::points::cell::{Cell, cell_key};
 use crate::points::{POINT_COLUMNS, parse_point};
@@ -15,7 +15,7 @@ pub(super) async fn check_points(
     connection: &mut SqliteConnection,
     session: i64,
     measured: &Measured,
-    problems: &mut Problems,
+    problems: &mut Findings,
 ) -> Result<u64, StoreError> {
     let mut keypoints = Taken::new(["point", "keypoint"], measured, |[n_keypoints, ..]| n_keypoints);
     let mut n_points = 0;
@@ -46,14 +46,14 @@ pub(super) async fn check_points(
     Ok(n_points)
 }
 
-fn check_point(point: &PointLandmark, keypoints: &mut Taken, problems: &mut Problems) {
+fn check_point(point: &PointLandmark, keypoints: &mut Taken, problems: &mut Findings) {
     let id = point.id;
     let numbers = point.position.iter().chain(&point.mean_view_direction).chain([&point.distance_range.0]);
     if !numbers.into_iter().all(|value| value.is_finite()) {
         problems.add(format!("point {id} has a number that is not finite"));
     }
     if point.observations.len() < 2 {
-        problems.add(format!("point {id} is seen by {} key frames", point.observations.len()));
+        problems.add(format!("point {id} is seen by {} keyframes", point.observations.len()));
     }
     for seen in &point.observations {
         keypoints.take(&id, seen.keyframe, seen.feature_idx, problems);

@@ -1,21 +1,21 @@
-//! Checks of key frames, removed key frames and frames.
+//! Checks of keyframes, removed keyframes and frames.
 
-use super::{Measured, Problems};
+use super::{Findings, Measured};
 use crate::StoreError;
 use crate::blob::{MeasuredCounts, check_features, decode_vanishing};
 use crate::number::{from_column, keyframe_id};
-use crate::pose::{PoseBook, read_pose, read_unit};
+use crate::pose::{PoseBook, read_local_scale, read_pose};
 use crate::session::parse_state;
 use futures_util::TryStreamExt;
 use geometry::Pose;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 
-/// Checks key frames and their features; how much was measured in each.
+/// Checks keyframes and their features; how much was measured in each.
 pub(super) async fn check_keyframes(
     connection: &mut SqliteConnection,
     session: i64,
-    problems: &mut Problems,
+    problems: &mut Findings,
 ) -> Result<Measured, StoreError> {
     let mut measured = Measured::new();
     let mut rows = sqlx::query(
@@ -29,27 +29,27 @@ pub(super) async fn check_keyframes(
     while let Some(row) = rows.try_next().await? {
         let Some(id) = problems.note(keyframe_id(row.try_get(0)?))? else { continue };
         if read_pose(&row, 1).is_err() {
-            problems.add(format!("key frame {id} has no finite pose with a unit quaternion"));
+            problems.add(format!("keyframe {id} has no finite pose with a unit quaternion"));
         }
-        if read_unit(&row, 12).is_err() {
-            problems.add(format!("key frame {id} has no unit that is a positive number"));
+        if read_local_scale(&row, 12).is_err() {
+            problems.add(format!("keyframe {id} has no unit that is a positive number"));
         }
         let n_claimed: [i64; 2] = [row.try_get(8)?, row.try_get(10)?];
         let features: Option<&[u8]> = row.try_get(9)?;
         let counts = match features.map(check_features) {
             None => {
-                problems.add(format!("key frame {id} has no features"));
+                problems.add(format!("keyframe {id} has no features"));
                 MeasuredCounts::default()
             }
             Some(Err(error)) => {
-                problems.add(format!("the features of key frame {id} cannot be read: {error}"));
+                problems.add(format!("the features of keyframe {id} cannot be read: {error}"));
                 MeasuredCounts::default()
             }
             Some(Ok(counts)) => {
                 let found = [counts.n_keypoints, counts.n_segments];
                 for ((what, claimed), found) in ["keypoints", "segments"].iter().zip(n_claimed).zip(found) {
                     if found as i64 != claimed {
-                        problems.add(format!("key frame {id} claims {claimed} {what} but has {found}"));
+                        problems.add(format!("keyframe {id} claims {claimed} {what} but has {found}"));
                     }
                 }
                 counts
@@ -60,7 +60,7 @@ pub(super) async fn check_keyframes(
             None => 0,
             Some(Ok(vanishing)) => vanishing.len(),
             Some(Err(error)) => {
-                problems.add(format!("the vanishing points of key frame {id} cannot be read: {error}"));
+                problems.add(format!("the vanishing points of keyframe {id} cannot be read: {error}"));
                 0
             }
         };
@@ -69,19 +69,19 @@ pub(super) async fn check_keyframes(
     Ok(measured)
 }
 
-/// Checks that each removed key frame hangs, by however many others, on one that is in the map.
+/// Checks that each removed keyframe hangs, by however many others, on one that is in the map.
 pub(super) async fn check_removed(
     connection: &mut SqliteConnection,
     session: i64,
-    problems: &mut Problems,
+    problems: &mut Findings,
 ) -> Result<(), StoreError> {
     let Some(book) = problems.note(PoseBook::read(connection, session).await)? else { return Ok(()) };
     for id in book.removed.keys() {
         if book.keyframes.contains_key(id) {
-            problems.add(format!("key frame {id} is in the map and removed from it"));
+            problems.add(format!("keyframe {id} is in the map and removed from it"));
         }
         if book.locate(*id, &Pose::identity()).is_none() {
-            problems.add(format!("removed key frame {id} hangs on nothing"));
+            problems.add(format!("removed keyframe {id} hangs on nothing"));
         }
     }
     Ok(())
@@ -91,7 +91,7 @@ pub(super) async fn check_removed(
 pub(super) async fn check_frames(
     connection: &mut SqliteConnection,
     session: i64,
-    problems: &mut Problems,
+    problems: &mut Findings,
 ) -> Result<(u64, Option<(u64, i64)>), StoreError> {
     let (mut n_frames, mut last) = (0, None);
     let mut rows = sqlx::query(

@@ -1,7 +1,7 @@
 //! Checks of global primitives and their observations.
 
 use super::taken::Taken;
-use super::{Measured, Problems};
+use super::{Findings, Measured};
 use crate::StoreError;
 use crate::primitives::{PRIMITIVE_COLUMNS, parse_primitive};
 use futures_util::TryStreamExt;
@@ -14,7 +14,7 @@ pub(super) async fn check_primitives(
     connection: &mut SqliteConnection,
     session: i64,
     measured: &Measured,
-    problems: &mut Problems,
+    problems: &mut Findings,
 ) -> Result<BTreeSet<PrimitiveId>, StoreError> {
     let mut vanishing =
         Taken::new(["primitive", "vanishing point"], measured, |[.., n_vanishing]| n_vanishing);

@@ -1,11 +1,11 @@
 //! Which features are taken: each sees one landmark at most.
 
-use super::{Measured, Problems};
+use super::{Findings, Measured};
 use slam::map::KeyframeId;
 use std::collections::BTreeMap;
 use std::fmt::Display;
 
-/// The features of one kind, by key frame, with whether they are taken.
+/// The features of one kind, by keyframe, with whether they are taken.
 pub(super) struct Taken {
     thing: &'static str,
     feature: &'static str,
@@ -26,12 +26,12 @@ impl Taken {
         id: &dyn Display,
         keyframe: KeyframeId,
         feature_idx: u32,
-        problems: &mut Problems,
+        problems: &mut Findings,
     ) {
         let Self { thing, feature, features } = self;
         let what = match features.get_mut(&keyframe).map(|taken| taken.get_mut(feature_idx as usize)) {
-            None => "a key frame that is not there".to_owned(),
-            Some(None) => format!("a {feature} its key frame does not have"),
+            None => "a keyframe that is not there".to_owned(),
+            Some(None) => format!("a {feature} its keyframe does not have"),
             Some(Some(taken)) if *taken => format!("a {feature} that another {thing} is seen by"),
             Some(Some(taken)) => {
                 *taken = true;

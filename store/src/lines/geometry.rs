@@ -26,13 +26,13 @@ pub(super) fn meets_box([start, end]: &[Vector3<f64>; 2], bounds: &Bounds) -> bo
     enter <= leave
 }
 
-/// Whether some point of the segment is at most `radius` from `centre`.
-pub(super) fn meets_ball([start, end]: &[Vector3<f64>; 2], centre: &Vector3<f64>, radius: f64) -> bool {
+/// Whether some point of the segment is at most `radius` from `center`.
+pub(super) fn meets_ball([start, end]: &[Vector3<f64>; 2], center: &Vector3<f64>, radius: f64) -> bool {
     let along = end - start;
     let length_squared = along.norm_squared();
-    let share = if length_squared > 0.0 { (centre - start).dot(&along) / length_squared } else { 0.0 };
+    let share = if length_squared > 0.0 { (center - start).dot(&along) / length_squared } else { 0.0 };
     let nearest = start + along * share.clamp(0.0, 1.0);
-    radius >= 0.0 && (nearest - centre).norm_squared() <= radius * radius
+    radius >= 0.0 && (nearest - center).norm_squared() <= radius * radius
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ pub struct LineQuery {
     pub bounds: Option<Bounds>,
     /// Lines some part of which is at most this far from this place, map units.
     pub near: Option<(Vector3<f64>, f64)>,
-    /// Lines seen by at least so many key frames.
+    /// Lines seen by at least so many keyframes.
     pub min_observations: u32,
     /// Lines in this submap's frame of reference.
     pub submap: Option<SubmapId>,
@@ -34,7 +34,7 @@ impl LineQuery {
     /// The conditions that the row and the tree do not answer.
     fn holds_for(&self, line: &LineLandmark) -> bool {
         self.bounds.is_none_or(|bounds| meets_box(&line.endpoints, &bounds))
-            && self.near.is_none_or(|(centre, radius)| meets_ball(&line.endpoints, &centre, radius))
+            && self.near.is_none_or(|(center, radius)| meets_ball(&line.endpoints, &center, radius))
     }
 }
 

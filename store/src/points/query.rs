@@ -27,7 +27,7 @@ pub struct PointQuery {
     pub bounds: Option<Bounds>,
     /// Points at most this far from this place, map units.
     pub near: Option<(Vector3<f64>, f64)>,
-    /// Points seen by at least so many key frames.
+    /// Points seen by at least so many keyframes.
     pub min_observations: u32,
     /// Points in this submap's frame of reference.
     pub submap: Option<SubmapId>,
@@ -57,9 +57,9 @@ impl PointQuery {
                 sql.push(" AND ").push(axis).push(" BETWEEN ").push_bind(*low).push(" AND ").push_bind(*high);
             }
         }
-        if let Some((centre, radius)) = self.near {
+        if let Some((center, radius)) = self.near {
             let mut separator = " AND (";
-            for (axis, place) in AXES.into_iter().zip(centre.iter()) {
+            for (axis, place) in AXES.into_iter().zip(center.iter()) {
                 sql.push(separator).push("(").push(axis).push(" - ").push_bind(*place);
                 sql.push(") * (").push(axis).push(" - ").push_bind(*place).push(")");
                 separator = " + ";
@@ -71,9 +71,9 @@ impl PointQuery {
 
 /// The smallest box that holds what is in a box and near a place; `None` for neither.
 pub(crate) fn region(bounds: Option<Bounds>, near: Option<(Vector3<f64>, f64)>) -> Option<Bounds> {
-    let ball = near.map(|(centre, radius)| Bounds {
-        min: centre - Vector3::repeat(radius),
-        max: centre + Vector3::repeat(radius),
+    let ball = near.map(|(center, radius)| Bounds {
+        min: center - Vector3::repeat(radius),
+        max: center + Vector3::repeat(radius),
     });
     match (bounds, ball) {
         (Some(a), Some(b)) => Some(Bounds { min: a.min.sup(&b.min), max: a.max.inf(&b.max) }),

@@ -1,4 +1,4 @@
-//! Key frames of an update, and what removed ones hang on.
+//! Keyframes of an update, and what removed ones hang on.
 
 use super::KeyframeImage;
 use super::rows::{MultiRow, id_list};
@@ -32,7 +32,7 @@ const REMOVED_ROWS: MultiRow = MultiRow {
 /// Features are large: statements of one row, the text of which is prepared once.
 const INSERT_FEATURES: &str = "INSERT INTO keyframe_features (session, keyframe, features) VALUES (?, ?, ?)";
 
-/// Writes changed key frames' rows, deletes removed ones', and notes what those hang on.
+/// Writes changed keyframes' rows, deletes removed ones', and notes what those hang on.
 pub(super) async fn write_keyframes(
     connection: &mut SqliteConnection,
     session: i64,
@@ -42,14 +42,14 @@ pub(super) async fn write_keyframes(
         update.changes.keyframes.iter().filter_map(|id| update.map.keyframe(*id)).collect();
     KEYFRAME_ROWS
         .write(connection, &changed, |columns, keyframe| {
-            let pose = finite_pose_columns("a key frame's pose", &keyframe.camera_from_world)?;
+            let pose = finite_pose_columns("a keyframe's pose", &keyframe.camera_from_world)?;
             columns.add(session)?;
             columns.add(keyframe_column(keyframe.id)?)?;
             columns.add(i64::from(keyframe.submap.0))?;
             columns.add(to_column("sequence", keyframe.sequence)?)?;
             columns.add(keyframe.timestamp_ns)?;
             pose.into_iter().try_for_each(|value| columns.add(value))?;
-            columns.add(finite("a key frame's unit", keyframe.unit)?)?;
+            columns.add(finite("a keyframe's unit", keyframe.local_scale)?)?;
             columns.add(keyframe.parent.map(keyframe_column).transpose()?)?;
             columns.add(keyframe.features.len() as i64)?;
             columns.add(keyframe.n_points() as i64)?;
@@ -66,7 +66,7 @@ async fn delete_keyframes(
     update: &MapUpdate,
 ) -> Result<(), StoreError> {
     let changes = &update.changes;
-    // A changed key frame that is not in the map went in the same breath.
+    // A changed keyframe that is not in the map went in the same breath.
     let gone: BTreeSet<KeyframeId> = changes
         .removed_keyframes
         .union(&changes.keyframes)
@@ -86,7 +86,7 @@ async fn delete_keyframes(
         gone.iter().filter_map(|id| update.map.removed_keyframe(*id)).collect();
     REMOVED_ROWS
         .write(connection, &removed, |columns, removed| {
-            let pose = finite_pose_columns("a removed key frame's pose", &removed.camera_from_anchor)?;
+            let pose = finite_pose_columns("a removed keyframe's pose", &removed.camera_from_anchor)?;
             columns.add(session)?;
             columns.add(keyframe_column(removed.id)?)?;
             columns.add(keyframe_column(removed.anchor)?)?;
@@ -94,7 +94,7 @@ async fn delete_keyframes(
         })
         .await?;
     if removed.len() < gone.len() {
-        // A whole submap went, and with it what hung on its key frames.
+        // A whole submap went, and with it what hung on its keyframes.
         sqlx::query(
             "DELETE FROM removed_keyframes WHERE session = ? AND id NOT IN (SELECT value FROM json_each(?))",
         )
@@ -106,7 +106,7 @@ async fn delete_keyframes(
     Ok(())
 }
 
-/// Writes the features of key frames that are new to the database.
+/// Writes the features of keyframes that are new to the database.
 pub(super) async fn write_features(
     connection: &mut SqliteConnection,
     session: i64,
@@ -137,7 +137,7 @@ pub(super) async fn write_features(
     Ok(())
 }
 
-/// Writes images of key frames that are in the map.
+/// Writes images of keyframes that are in the map.
 pub(super) async fn write_images(
     connection: &mut SqliteConnection,
     session: i64,

@@ -23,10 +23,10 @@ pub struct SessionStatus {
     pub state: FrameState,
 }
 
-/// The image of a key frame as it was received.
+/// The image of a keyframe as it was received.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KeyframeImage {
-    /// The key frame.
+    /// The keyframe.
     pub keyframe: KeyframeId,
     /// What the bytes are, such as `image/png`.
     pub media_type: String,
@@ -47,7 +47,7 @@ impl Store {
     /// Stores an update in one transaction: all of it is in the database afterwards, or none of it.
     ///
     /// Writes the rows that `update.changes` names, as they are in `update.map`, and `update.frames`. Images
-    /// of key frames that are no longer in the map are left out. After an error the database is as it was and
+    /// of keyframes that are no longer in the map are left out. After an error the database is as it was and
     /// the same update, alone or merged with later ones, can be tried again.
     ///
     /// # Errors
@@ -139,7 +139,7 @@ async fn write_frames(
             columns.add(frame.backfilled)?;
             columns.add(frame.pose.map(|pose| i64::from(pose.submap.0)))?;
             columns
-                .add(frame.pose.map(|pose| to_column("key frame id", pose.reference.get())).transpose()?)?;
+                .add(frame.pose.map(|pose| to_column("keyframe id", pose.reference.get())).transpose()?)?;
             (0..7).try_for_each(|idx| columns.add(pose.map(|pose| pose[idx])))
         })
         .await?;

@@ -1,4 +1,4 @@
-//! Global primitives of an update, and the vanishing points of its key frames.
+//! Global primitives of an update, and the vanishing points of its keyframes.
 
 use super::rows::{MultiRow, id_list};
 use crate::StoreError;
@@ -65,7 +65,7 @@ pub(super) async fn write_primitives(
     Ok(())
 }
 
-/// Writes the vanishing points of changed key frames where they are not stored already, which they mostly
+/// Writes the vanishing points of changed keyframes where they are not stored already, which they mostly
 /// are.
 pub(super) async fn write_vanishing(
     connection: &mut SqliteConnection,
@@ -95,7 +95,7 @@ pub(super) async fn write_vanishing(
             seen.direction.iter().chain(seen.covariance.iter()).all(|value| value.is_finite())
         };
         if !keyframe.vanishing.iter().all(is_finite) {
-            return Err(StoreError::NotFinite(format!("a vanishing point of key frame {id}")));
+            return Err(StoreError::NotFinite(format!("a vanishing point of keyframe {id}")));
         }
         let vanishing = (!keyframe.vanishing.is_empty()).then(|| encode_vanishing(&keyframe.vanishing));
         if stored.get(&id) == vanishing.as_ref() {

@@ -32,7 +32,7 @@ pub struct SessionOptions {
     /// Self-calibration: whether focal length and principal point are refined as the map grows.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refine_calibration: Option<bool>,
-    /// Most key frames the session keeps.
+    /// Most keyframes the session keeps.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_keyframes: Option<u32>,
 }

@@ -52,7 +52,7 @@ pub struct SessionRecord {
 pub struct SessionCounts {
     /// Frames of the trajectory, with and without a pose.
     pub n_frames: u64,
-    /// Key frames, without removed ones.
+    /// Keyframes, without removed ones.
     pub n_keyframes: u64,
     /// Points.
     pub n_points: u64,
@@ -60,7 +60,7 @@ pub struct SessionCounts {
     pub n_lines: u64,
     /// Global primitives.
     pub n_primitives: u64,
-    /// Submaps that have key frames.
+    /// Submaps that have keyframes.
     pub n_submaps: u32,
 }
 
@@ -221,8 +221,8 @@ pub(crate) fn parse_session(row: &SqliteRow) -> Result<(i64, SessionRecord), Sto
         camera: json::decode_camera(row.try_get("camera")?)?,
         correction: PinholeCorrection {
             focal: row.try_get("focal_correction")?,
-            centre_x: row.try_get("centre_x_correction")?,
-            centre_y: row.try_get("centre_y_correction")?,
+            center_x: row.try_get("centre_x_correction")?,
+            center_y: row.try_get("centre_y_correction")?,
         },
         options: json::decode_options(row.try_get("options")?)?,
         created_at_ns: row.try_get("created_at_ns")?,
@@ -259,7 +259,7 @@ pub(crate) async fn write_progress(
     .bind(state_column(state))
     .bind(last_sequence)
     .bind(last_frame.map(|(_, timestamp_ns)| timestamp_ns))
-    .bind(to_column("key frame id", last_ids.keyframe)?)
+    .bind(to_column("keyframe id", last_ids.keyframe)?)
     .bind(to_column("point id", last_ids.point)?)
     .bind(to_column("line id", last_ids.line)?)
     .bind(to_column("primitive id", last_ids.primitive)?)
@@ -281,16 +281,16 @@ pub(crate) async fn write_correction(
     number: i64,
     correction: &PinholeCorrection,
 ) -> Result<(), StoreError> {
-    let PinholeCorrection { focal, centre_x, centre_y } = *correction;
-    if ![focal, centre_x, centre_y].iter().all(|value| value.is_finite()) {
+    let PinholeCorrection { focal, center_x, center_y } = *correction;
+    if ![focal, center_x, center_y].iter().all(|value| value.is_finite()) {
         return Err(StoreError::NotFinite("the correction of the camera".into()));
     }
     sqlx::query(
         "UPDATE sessions SET focal_correction = ?, centre_x_correction = ?, centre_y_correction = ? WHERE number = ?",
     )
     .bind(focal)
-    .bind(centre_x)
-    .bind(centre_y)
+    .bind(center_x)
+    .bind(center_y)
     .bind(number)
     .execute(connection)
     .await?;

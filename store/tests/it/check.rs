@@ -41,14 +41,14 @@ async fn every_kind_of_damage_is_found() {
             "fx must be a positive focal length",
         ),
         ("UPDATE sessions SET state = 9", "unknown state 9"),
-        ("UPDATE keyframes SET qw = qw + 0.5 WHERE id = 2", "key frame 2 has no finite pose"),
-        ("UPDATE keyframes SET tx = 9e999 WHERE id = 3", "key frame 3 has no finite pose"),
-        ("UPDATE keyframes SET n_keypoints = 81 WHERE id = 3", "key frame 3 claims 81 keypoints but has 80"),
+        ("UPDATE keyframes SET qw = qw + 0.5 WHERE id = 2", "keyframe 2 has no finite pose"),
+        ("UPDATE keyframes SET tx = 9e999 WHERE id = 3", "keyframe 3 has no finite pose"),
+        ("UPDATE keyframes SET n_keypoints = 81 WHERE id = 3", "keyframe 3 claims 81 keypoints but has 80"),
         ("UPDATE keyframes SET parent = 99 WHERE id = 3", "a row of keyframes refers to one of keyframes"),
-        ("DELETE FROM keyframe_features WHERE keyframe = 4", "key frame 4 has no features"),
+        ("DELETE FROM keyframe_features WHERE keyframe = 4", "keyframe 4 has no features"),
         (
             "UPDATE keyframe_features SET features = x'01' WHERE keyframe = 1",
-            "features of key frame 1 cannot be read",
+            "features of keyframe 1 cannot be read",
         ),
         ("DELETE FROM keyframes WHERE id = 6", "refers to one of keyframes that is not there"),
         ("UPDATE points SET x = 9e999 WHERE id = 5", "point 5 has a number that is not finite"),
@@ -59,16 +59,16 @@ async fn every_kind_of_damage_is_found() {
         ),
         (
             "UPDATE points SET observations = x'01', n_observations = 0 WHERE id = 5",
-            "point 5 is seen by 0 key frames",
+            "point 5 is seen by 0 keyframes",
         ),
         ("UPDATE points SET n_observations = 9 WHERE id = 5", "point 5 has the wrong number of observations"),
         (
             "UPDATE points SET observations = x'0101000163', n_observations = 2 WHERE id = 5",
-            "a keypoint its key frame does not have: 99 of 2",
+            "a keypoint its keyframe does not have: 99 of 2",
         ),
         (
             "UPDATE points SET observations = x'0101006300', n_observations = 2 WHERE id = 5",
-            "a key frame that is not there: 0 of 100",
+            "a keyframe that is not there: 0 of 100",
         ),
         (
             "UPDATE points SET (observations, n_observations) = (SELECT observations, n_observations FROM points WHERE id = 6) WHERE id = 5",
@@ -81,15 +81,12 @@ async fn every_kind_of_damage_is_found() {
         ),
         ("UPDATE sessions SET n_lines = 3", "it claims 3 lines but has 25"),
         ("UPDATE sessions SET n_primitives = 3", "it claims 3 primitives but has 4"),
-        ("UPDATE keyframes SET n_segments = 31 WHERE id = 3", "key frame 3 claims 31 segments but has 30"),
+        ("UPDATE keyframes SET n_segments = 31 WHERE id = 3", "keyframe 3 claims 31 segments but has 30"),
         (
             "UPDATE keyframe_vanishing SET vanishing = x'09' WHERE keyframe = 2",
-            "vanishing points of key frame 2 cannot be read",
+            "vanishing points of keyframe 2 cannot be read",
         ),
-        (
-            "DELETE FROM keyframe_vanishing WHERE keyframe = 2",
-            "a vanishing point its key frame does not have",
-        ),
+        ("DELETE FROM keyframe_vanishing WHERE keyframe = 2", "a vanishing point its keyframe does not have"),
         ("UPDATE lines SET start_x = 9e999 WHERE id = 5", "line 5 has a number that is not finite"),
         ("UPDATE lines SET end_z = end_z + 50 WHERE id = 5", "line 5 is not where spatial queries look"),
         ("UPDATE lines SET end_z = end_z + 0.1 WHERE id = 5", "an end of line 5 is not on it"),
@@ -116,11 +113,11 @@ async fn every_kind_of_damage_is_found() {
         ),
         (
             "INSERT INTO removed_keyframes VALUES (1, 9, 8, 0, 0, 0, 1, 0, 0, 0), (1, 8, 9, 0, 0, 0, 1, 0, 0, 0)",
-            "removed key frame 8 hangs on nothing",
+            "removed keyframe 8 hangs on nothing",
         ),
         (
             "INSERT INTO removed_keyframes VALUES (1, 2, 1, 0, 0, 0, 1, 0, 0, 0)",
-            "key frame 2 is in the map and removed",
+            "keyframe 2 is in the map and removed",
         ),
         (
             "UPDATE frames SET timestamp_ns = 0 WHERE sequence = 9",

@@ -16,7 +16,7 @@ fn remove_line(parts: &mut MapParts, id: LineId) {
     }
 }
 
-/// Takes key frame 3 out of the parts, with everything it alone kept alive; what changed thereby.
+/// Takes keyframe 3 out of the parts, with everything it alone kept alive; what changed thereby.
 fn remove_keyframe_3(parts: &mut MapParts) -> MapChanges {
     let pose_of = |id: u64| parts.keyframes[id as usize - 1].camera_from_world;
     let camera_from_anchor = pose_of(3) * pose_of(2).inverse();
@@ -38,7 +38,7 @@ fn remove_keyframe_3(parts: &mut MapParts) -> MapChanges {
         changes.removed_points.insert(id);
     }
     let lines: Vec<_> = parts.lines.iter().filter(|line| line.observations.len() < 2).map(|l| l.id).collect();
-    assert!(!lines.is_empty(), "some line should have hung on key frame 3");
+    assert!(!lines.is_empty(), "some line should have hung on keyframe 3");
     for id in lines {
         remove_line(parts, id);
         changes.lines.remove(&id);
@@ -185,8 +185,8 @@ fn surely_holds(query: &LineQuery, line: &LineLandmark) -> Option<bool> {
             answers[0] |= depth >= 0.0;
             nearly[0] |= depth >= -slack;
         }
-        if let Some((centre, radius)) = query.near {
-            let depth = radius - (place - centre).norm();
+        if let Some((center, radius)) = query.near {
+            let depth = radius - (place - center).norm();
             answers[1] |= depth >= 0.0;
             nearly[1] |= depth >= -slack;
         }

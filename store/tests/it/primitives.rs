@@ -32,7 +32,7 @@ async fn joined_and_removed_primitives_are_stored_as_the_map_has_them() {
     let mut world = structured(82, SMALL);
     store.save_update("s", &first_update(&world), TRACKED, &[]).await.unwrap();
 
-    // Primitive 2 turns out to be primitive 1 where key frames see it alone, and is forgotten elsewhere.
+    // Primitive 2 turns out to be primitive 1 where keyframes see it alone, and is forgotten elsewhere.
     let gone = world.primitives.remove(1);
     let kept = &mut world.primitives[0];
     for seen in gone.observations {
@@ -49,7 +49,7 @@ async fn joined_and_removed_primitives_are_stored_as_the_map_has_them() {
         .iter_mut()
         .filter(|line| line.primitive == Some(pr(2)))
         .for_each(|line| line.primitive = None);
-    // A key frame's vanishing points were found anew.
+    // A keyframe's vanishing points were found anew.
     world.keyframes[5].vanishing.iter().filter_map(|seen| seen.primitive).for_each(|id| {
         let primitive = world.primitives.iter_mut().find(|primitive| primitive.id == id).unwrap();
         primitive.observations.retain(|seen| seen.keyframe != kf(6));

@@ -38,7 +38,7 @@ fn holds(query: &PointQuery, point: &PointLandmark) -> bool {
         .is_none_or(|bounds| (0..3).all(|axis| p[axis] >= bounds.min[axis] && p[axis] <= bounds.max[axis]))
         && query
             .near
-            .is_none_or(|(centre, radius)| (p - centre).norm_squared() <= radius * radius && radius >= 0.0)
+            .is_none_or(|(center, radius)| (p - center).norm_squared() <= radius * radius && radius >= 0.0)
         && point.observations.len() >= query.min_observations as usize
         && query.submap.is_none_or(|submap| point.submap == submap)
 }

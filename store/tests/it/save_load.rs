@@ -47,7 +47,7 @@ async fn a_saved_map_comes_back_bit_for_bit() {
 async fn a_camera_that_was_put_right_comes_back() {
     let folder = tempfile::tempdir().unwrap();
     let store = store_with_session(folder.path()).await;
-    let correction = PinholeCorrection { focal: -0.013, centre_x: 0.002, centre_y: 0.1 + 0.2 };
+    let correction = PinholeCorrection { focal: -0.013, center_x: 0.002, center_y: 0.1 + 0.2 };
     let saved = MapParts { correction, ..parts(12, SMALL) };
     let update = first_update(&saved);
     store.save_update("s", &update, TRACKED, &[]).await.unwrap();
@@ -95,7 +95,7 @@ async fn only_rows_named_in_the_changes_are_written() {
     let before = parts(12, SMALL);
     store.save_update("s", &first_update(&before), TRACKED, &[]).await.unwrap();
 
-    // Everything moves, but the update names one key frame and two points.
+    // Everything moves, but the update names one keyframe and two points.
     let mut after = before.clone();
     let mut numbers = Numbers(99);
     after.keyframes.iter_mut().for_each(|keyframe| keyframe.camera_from_world = numbers.pose());
@@ -114,7 +114,7 @@ async fn only_rows_named_in_the_changes_are_written() {
     assert_eq!(store.check().await.unwrap(), []);
 }
 
-/// The map after key frame 3 and point 7 were removed, and what changed thereby.
+/// The map after keyframe 3 and point 7 were removed, and what changed thereby.
 fn removal(before: &slam::map::MapParts) -> (slam::map::MapParts, MapChanges) {
     let mut after = before.clone();
     let mut changes = MapChanges { removed_keyframes: [kf(3)].into(), ..MapChanges::default() };
@@ -171,7 +171,7 @@ async fn a_dropped_submap_takes_along_what_hung_on_it() {
     let update = MapUpdate { map: map(&removed), changes, frames: vec![] };
     store.save_update("s", &update, TRACKED, &[]).await.unwrap();
 
-    // The whole submap goes, and the record of key frame 3 with it, though only key frames in the map are
+    // The whole submap goes, and the record of keyframe 3 with it, though only keyframes in the map are
     // named.
     let changes = MapChanges {
         removed_keyframes: removed.keyframes.iter().map(|keyframe| keyframe.id).collect(),

@@ -19,7 +19,7 @@ async fn a_database_of_the_first_release_opens() {
     assert_eq!((session.camera, session.last_frame), (camera(), Some((20, 1_000_000_000))));
     assert_same_parts(&load(&store).await, &parts(51, SMALL));
     assert_eq!((session.counts.n_points, session.counts.n_lines, session.counts.n_primitives), (60, 0, 0));
-    // And it can be written to, lines and all; what was measured in its key frames stays.
+    // And it can be written to, lines and all; what was measured in its keyframes stays.
     let mut grown = parts(51, SMALL);
     let mut newer = structured(52, SMALL).keyframes.remove(5);
     newer.id = kf(7);

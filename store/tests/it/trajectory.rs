@@ -8,7 +8,7 @@ async fn trajectory(store: &Store, kind: TrajectoryKind, filter: TrajectoryFilte
     store.trajectory("s", kind, filter).await.unwrap().try_collect().await.unwrap()
 }
 
-/// Key frames 3 and 4 of six were removed: 4 hung on 3, and 3 hangs on 2.
+/// Keyframes 3 and 4 of six were removed: 4 hung on 3, and 3 hangs on 2.
 fn with_removed_keyframes(seed: u64) -> MapParts {
     let mut world = parts(seed, SMALL);
     let pose_of = |world: &MapParts, id: u64| world.keyframes[id as usize - 1].camera_from_world;
@@ -52,7 +52,7 @@ async fn frames_keep_their_place_through_removed_key_frames() {
         if corrected {
             world.keyframes.iter_mut().for_each(|keyframe| {
                 // A correction may change the scale of a part of the map.
-                (keyframe.camera_from_world, keyframe.unit) = (Numbers(5).pose(), 1.25);
+                (keyframe.camera_from_world, keyframe.local_scale) = (Numbers(5).pose(), 1.25);
             });
             let keyframes = world.keyframes.iter().map(|keyframe| keyframe.id).collect();
             let changes = MapChanges { keyframes, ..MapChanges::default() };
@@ -113,7 +113,7 @@ async fn a_trajectory_can_be_cut_by_time_and_submap() {
         to_timestamp_ns: time(1100),
         submaps: SubmapChoice::One(SubmapId(1)),
     };
-    // Its key frames became part of submap 0.
+    // Its keyframes became part of submap 0.
     assert_eq!(trajectory(&store, TrajectoryKind::Frames, filter).await, []);
     let filter = TrajectoryFilter { submaps: SubmapChoice::One(SubmapId(0)), ..filter };
     let part = trajectory(&store, TrajectoryKind::Frames, filter).await;

@@ -46,7 +46,7 @@ impl LightMap {
         Self { columns, values, cell }
     }
 
-    /// Grey levels of the painted canvas under this light, with one level of dither.
+    /// Gray levels of the painted canvas under this light, with one level of dither.
     pub fn lit(&self, canvas: &Canvas, rng: &mut ChaCha8Rng) -> Vec<u8> {
         let rows = self.values.len() / self.columns;
         let position = |i: usize, cell: f64, n: usize| {

@@ -80,15 +80,15 @@ impl Renderer {
         GrayImage::new(self.camera.width(), self.camera.height(), pixels)
     }
 
-    /// Grey level of the painted and lit surface at a hit, before the sensor, as a close view shows it.
-    pub fn surface_grey(&self, hit: &RayHit) -> f64 {
+    /// Gray level of the painted and lit surface at a hit, before the sensor, as a close view shows it.
+    pub fn surface_gray(&self, hit: &RayHit) -> f64 {
         let texel = self.options.texel;
         let (u, v) = ((hit.uv.x / texel) as f32, (hit.uv.y / texel) as f32);
         let footprint = crate::texture::Footprint::new([1.0, 0.0, 0.0, 1.0]);
         f64::from(self.texture(hit.surface).sample(&[u], &[v], &footprint)[0])
     }
 
-    /// Noise-free grey levels, row-major.
+    /// Noise-free gray levels, row-major.
     fn radiance(&self, camera_from_world: &Pose) -> Vec<f32> {
         let (width, height) = (self.camera.width() as usize, self.camera.height() as usize);
         let faces = FrameFaces::new(&self.world, camera_from_world, self.options.texel);
@@ -111,7 +111,7 @@ impl Renderer {
         self.textures[surface].get_or_init(|| self.paint(surface))
     }
 
-    /// Paint times light, as grey levels. Dither keeps smooth gradients free of steps.
+    /// Paint times light, as gray levels. Dither keeps smooth gradients free of steps.
     fn paint(&self, index: usize) -> MipTexture {
         let surface = &self.world.surfaces()[index];
         let mut rng = stream(surface.seed, "paint");

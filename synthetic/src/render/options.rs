@@ -39,7 +39,7 @@ impl ExposureCurve {
 /// Sensor and quality.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RenderOptions {
-    /// Standard deviation of the noise of each pixel, in grey levels. Default 2, as of an indoor webcam.
+    /// Standard deviation of the noise of each pixel, in gray levels. Default 2, as of an indoor webcam.
     pub noise_sigma: f64,
     /// Gain over time. Default constant 1.
     pub exposure: ExposureCurve,

@@ -1,4 +1,4 @@
-//! The camera's rays at pixel corners and centres, and the cones of rays of image tiles.
+//! The camera's rays at pixel corners and centers, and the cones of rays of image tiles.
 
 use geometry::Camera;
 use nalgebra::Vector2;

@@ -1,4 +1,4 @@
-//! From radiance to grey levels: vignetting, gain, noise and rounding.
+//! From radiance to gray levels: vignetting, gain, noise and rounding.
 
 use geometry::Camera;
 use rand::Rng;
@@ -34,18 +34,18 @@ impl Sensor {
         Self { transmission, noise }
     }
 
-    /// Grey levels, with noise that depends on `seed`.
+    /// Gray levels, with noise that depends on `seed`.
     pub fn expose(&self, radiance: &[f32], gain: f64, seed: u64) -> Vec<u8> {
         let gain = gain as f32;
         let lit = radiance.iter().zip(&self.transmission).map(|(value, share)| value * share * gain);
         if self.noise.is_empty() {
-            return lit.map(quantise).collect();
+            return lit.map(quantize).collect();
         }
         let mut state = mix(seed, stream(seed, "frame noise").random());
         lit.map(|value| {
             // A linear congruential generator (constants of Knuth's MMIX); its high bits are good.
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            quantise(value + self.noise[(state >> 52) as usize & (NOISE_TABLE - 1)])
+            quantize(value + self.noise[(state >> 52) as usize & (NOISE_TABLE - 1)])
         })
         .collect()
     }
@@ -53,6 +53,6 @@ impl Sensor {
 
 /// Rounded and clamped to 0..=255.
 #[inline]
-fn quantise(value: f32) -> u8 {
+fn quantize(value: f32) -> u8 {
     (value + 0.5) as u8
 }

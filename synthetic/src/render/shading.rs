@@ -1,4 +1,4 @@
-//! Grey levels of pixels, given which faces are seen.
+//! Gray levels of pixels, given which faces are seen.
 
 use super::Renderer;
 use super::rays::RayTable;
@@ -56,7 +56,7 @@ pub(crate) fn shade_band(renderer: &Renderer, frame: &FrameFaces, first_row: usi
 /// Pixels that show one face each, and all the same one.
 fn plain_run(rays: &RayTable, face: &FaceView, texture: &MipTexture, x: usize, y: usize, line: &mut [f32]) {
     let footprint = footprint(rays, face, x + line.len() / 2, y);
-    // All rays of a whole run at once, though the run may be shorter: arrays of fixed length are vectorised,
+    // All rays of a whole run at once, though the run may be shorter: arrays of fixed length are vectorized,
     // and the table's padding lies behind the last row.
     let from = y * rays.stride + x;
     let below = from + rays.stride;

@@ -11,7 +11,7 @@ pub(crate) const NOTHING: u16 = u16::MAX;
 
 /// A face as the camera sees it. For a ray `r` in the camera frame, `inverse_depth · r` is one over the
 /// distance to the face's plane in lengths of `r`; the face is met where that is positive and `r` is on the
-/// inner side of the planes through the camera centre and each side.
+/// inner side of the planes through the camera center and each side.
 pub(crate) struct FaceView {
     pub inverse_depth: [f32; 3],
     /// Texture coordinate `u = u_axis · r / (inverse_depth · r) - u_offset`, in finest texels.

@@ -3,7 +3,7 @@
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-/// Albedos at the centres of square texels; texel `(i, j)` covers `[i, i + 1] x [j, j + 1]` texels.
+/// Albedos at the centers of square texels; texel `(i, j)` covers `[i, i + 1] x [j, j + 1]` texels.
 pub(crate) struct Canvas {
     pub width: usize,
     pub height: usize,

@@ -1,12 +1,12 @@
 //! A finished texture with its half-size copies, and filtered look-ups in it.
 
-/// Grey levels at halving resolutions. Coordinates are in texels of the finest level, from its corner.
+/// Gray levels at halving resolutions. Coordinates are in texels of the finest level, from its corner.
 pub(crate) struct MipTexture {
     levels: Vec<Level>,
 }
 
 /// Rows have one texel more than `width`, and there is one row more than `height`: both repeat the last, so
-/// that every texel has a right and a lower neighbour.
+/// that every texel has a right and a lower neighbor.
 struct Level {
     width: usize,
     height: usize,
@@ -66,7 +66,7 @@ impl MipTexture {
         Self { levels }
     }
 
-    /// Mean grey levels over equal footprints centred at `(u[i], v[i])`.
+    /// Mean gray levels over equal footprints centered at `(u[i], v[i])`.
     #[inline]
     pub fn sample<const N: usize>(&self, u: &[f32; N], v: &[f32; N], footprint: &Footprint) -> [f32; N] {
         let coarsest = self.levels.len() - 1;
@@ -143,7 +143,7 @@ impl Level {
         Some(Self::padded(width, rows))
     }
 
-    /// Adds `weight` times the grey levels at `(u[i], v[i]) * scale`, clamped to the edge.
+    /// Adds `weight` times the gray levels at `(u[i], v[i]) * scale`, clamped to the edge.
     #[inline]
     fn add_bilinear<const N: usize>(
         &self,

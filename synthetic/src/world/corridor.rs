@@ -14,16 +14,16 @@ use crate::texture::Material;
 /// The plan of a corridor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CorridorShape {
-    /// Along +x, from `x = 0` to `x = length`, its centre line on `y = 0`.
+    /// Along +x, from `x = 0` to `x = length`, its center line on `y = 0`.
     Straight {
         /// Length between the end walls.
         length: f64,
     },
-    /// Around a block; the centre line is a rectangle about the origin.
+    /// Around a block; the center line is a rectangle about the origin.
     Ring {
-        /// Length of the centre line along x.
+        /// Length of the center line along x.
         length_x: f64,
-        /// Length of the centre line along y.
+        /// Length of the center line along y.
         length_y: f64,
     },
 }

@@ -63,7 +63,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 report.n_segments,
                 report.n_inlier_lines,
                 report.is_keyframe,
-                report.relocalised,
+                report.relocalized,
                 report.wall_ns as f64 * 1e-6,
                 report.outcome.reason(),
             );
@@ -107,7 +107,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("frames {} posed {n_posed} backfilled {n_backfilled} {counts:?}", frames.len());
     let made = map.last_ids();
     println!(
-        "key frames {} (made {}) points {} lines {} (made {}) primitives {} (made {})",
+        "keyframes {} (made {}) points {} lines {} (made {}) primitives {} (made {})",
         map.n_keyframes(),
         made.keyframe,
         map.n_points(),

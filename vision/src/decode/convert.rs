@@ -1,4 +1,4 @@
-//! Pixels of other kinds to 8-bit grey.
+//! Pixels of other kinds to 8-bit gray.
 
 use super::PixelFormat;
 
@@ -36,7 +36,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn grey_colours_keep_their_level() {
+    fn gray_colors_keep_their_level() {
         for v in 0..=255 {
             assert_eq!(luma(v, v, v), v);
             assert_eq!(narrow(u16::from(v) * 257), v);

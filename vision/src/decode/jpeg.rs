@@ -1,4 +1,4 @@
-//! JPEG files, by `zune-jpeg`, which gives the luma channel without converting colours.
+//! JPEG files, by `zune-jpeg`, which gives the luma channel without converting colors.
 
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
@@ -29,7 +29,7 @@ pub(super) fn decode(data: &[u8], limits: &DecodeLimits) -> Result<GrayImage, De
     let (width, height) = decoder.dimensions().unwrap_or((0, 0));
     let (width, height) = (width as u32, height as u32);
     limits.check_size(width, height)?;
-    // The decoder fills what is missing with grey; we would rather know. Only the end-of-image marker tells.
+    // The decoder fills what is missing with gray; we would rather know. Only the end-of-image marker tells.
     if !data.windows(2).rev().any(|marker| marker == END_OF_IMAGE) {
         return Err(DecodeError::Truncated { format: FORMAT });
     }

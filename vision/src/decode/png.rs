@@ -25,7 +25,7 @@ pub(super) fn decode(data: &[u8], limits: &DecodeLimits) -> Result<GrayImage, De
     let mut decoder = Decoder::new_with_limits(Cursor::new(data), Limits { bytes: MAX_CHUNK_BYTES });
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);
-    // Palettes and samples of fewer than eight bits become bytes, transparent colours an alpha channel.
+    // Palettes and samples of fewer than eight bits become bytes, transparent colors an alpha channel.
     decoder.set_transformations(Transformations::EXPAND);
     let mut reader = decoder.read_info().map_err(describe)?;
     let (width, height) = reader.info().size();

@@ -1,4 +1,4 @@
-//! Good images decode to the right greys, bad ones to the right error, and nothing panics.
+//! Good images decode to the right grays, bad ones to the right error, and nothing panics.
 
 use std::io::Cursor;
 
@@ -24,7 +24,7 @@ fn decode(image: EncodedImage<'_>) -> Result<GrayImage, DecodeError> {
     decode_gray(&image, &DecodeLimits::default())
 }
 
-/// Mean absolute difference, grey levels.
+/// Mean absolute difference, gray levels.
 fn difference(a: &GrayImage, b: &GrayImage) -> f64 {
     assert_eq!((a.width(), a.height()), (b.width(), b.height()));
     let sum: u64 = a.as_raw().iter().zip(b.as_raw()).map(|(&a, &b)| u64::from(a.abs_diff(b))).sum();
@@ -43,19 +43,19 @@ fn png_and_jpeg_give_back_what_was_encoded() {
 }
 
 #[test]
-fn colours_become_luma() {
-    let colour = |x: u32, y: u32| [(x % 256) as u8, (y % 256) as u8, 60];
+fn colors_become_luma() {
+    let color = |x: u32, y: u32| [(x % 256) as u8, (y % 256) as u8, 60];
     let expected = GrayImage::from_fn(200, 150, |x, y| {
-        let [r, g, b] = colour(x, y);
+        let [r, g, b] = color(x, y);
         (0.299 * f64::from(r) + 0.587 * f64::from(g) + 0.114 * f64::from(b)).round() as u8
     });
-    let buffer = ImageBuffer::from_fn(200, 150, |x, y| Rgb(colour(x, y)));
+    let buffer = ImageBuffer::from_fn(200, 150, |x, y| Rgb(color(x, y)));
     for (format, bound) in [(ImageFormat::Png, 0.01), (ImageFormat::Jpeg, 3.0)] {
         let bytes = file(buffer.clone().into(), format);
         let decoded = decode(EncodedImage::Auto(&bytes)).unwrap();
         assert!(difference(&decoded, &expected) < bound, "{format:?}");
     }
-    let wide = ImageBuffer::from_fn(200, 150, |x, y| Rgb(colour(x, y).map(|v| u16::from(v) * 257)));
+    let wide = ImageBuffer::from_fn(200, 150, |x, y| Rgb(color(x, y).map(|v| u16::from(v) * 257)));
     let decoded = decode(EncodedImage::Png(&file(DynamicImage::ImageRgb16(wide), ImageFormat::Png))).unwrap();
     assert!(difference(&decoded, &expected) < 0.01);
 }

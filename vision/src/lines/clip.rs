@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 
 use super::Segment;
 
-/// The rectangle of pixel centres of an image, or one around it.
+/// The rectangle of pixel centers of an image, or one around it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Frame {
     min: Vector2<f32>,
@@ -12,7 +12,7 @@ pub(super) struct Frame {
 }
 
 impl Frame {
-    /// The pixel centres of an image of this size. Contains nothing if the image is empty.
+    /// The pixel centers of an image of this size. Contains nothing if the image is empty.
     pub fn of_image(width: u32, height: u32) -> Self {
         Self { min: Vector2::zeros(), max: Vector2::new(width as f32 - 1.0, height as f32 - 1.0) }
     }
@@ -22,7 +22,7 @@ impl Frame {
         Self { min: self.min - Vector2::repeat(by_px), max: self.max + Vector2::repeat(by_px) }
     }
 
-    /// The pixel centres of an image without `border_px` on every side, unless nothing remains of it.
+    /// The pixel centers of an image without `border_px` on every side, unless nothing remains of it.
     pub fn inside(width: u32, height: u32, border_px: f32) -> Option<Self> {
         let frame = Self::of_image(width, height).grown(-border_px);
         (0..2).all(|axis| frame.max[axis] > frame.min[axis]).then_some(frame)

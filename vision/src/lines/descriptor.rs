@@ -59,7 +59,7 @@ pub struct LineDescriber {
     halved: GrayImage,
     /// Weight of each row in each band; 0 for rows further than one band away.
     weights: [[f32; N_ROWS]; N_BANDS],
-    /// Grey levels on two neighbouring rows of corners between gradients.
+    /// Gray levels on two neighboring rows of corners between gradients.
     upper: Vec<f32>,
     lower: Vec<f32>,
 }
@@ -99,7 +99,7 @@ impl LineDescriber {
             return Descriptor::default();
         }
         let rows = self.row_sums(&Sampler::new(halved), segment, length);
-        binarise(&self.band_numbers(&rows))
+        binarize(&self.band_numbers(&rows))
     }
 
     /// The mean gradient of each row, by axis and sign: across positive, across negative, along positive,
@@ -126,7 +126,7 @@ impl LineDescriber {
         })
     }
 
-    /// Means, then standard deviations, of the weighted rows of each band and its neighbours.
+    /// Means, then standard deviations, of the weighted rows of each band and its neighbors.
     fn band_numbers(&self, rows: &[[f32; N_SUMS]; N_ROWS]) -> [[f32; N_NUMBERS]; N_BANDS] {
         std::array::from_fn(|band| {
             let near = band.saturating_sub(1) * ROWS_PER_BAND..((band + 2) * ROWS_PER_BAND).min(N_ROWS);
@@ -181,8 +181,8 @@ fn row_weight(band: usize, row: usize) -> f32 {
 }
 
 /// Compares bands number by number. A common factor of all numbers changes nothing, so they need no
-/// normalisation.
-fn binarise(bands: &[[f32; N_NUMBERS]; N_BANDS]) -> Descriptor {
+/// normalization.
+fn binarize(bands: &[[f32; N_NUMBERS]; N_BANDS]) -> Descriptor {
     let mut words = [0u64; 4];
     for (pair, &(a, b)) in COMPARED_BANDS.iter().enumerate() {
         for (number, (of_a, of_b)) in bands[a].iter().zip(&bands[b]).enumerate() {
@@ -202,11 +202,11 @@ mod tests {
     use crate::test_images::noise;
 
     const SIZE: (u32, u32) = (480, 360);
-    const CENTRE: Vector2<f32> = Vector2::new(240.0, 180.0);
+    const CENTER: Vector2<f32> = Vector2::new(240.0, 180.0);
 
     /// Of the edges seen in both views: the share whose nearest descriptor is their own, and the mean
     /// distances of descriptors of the same edge and of different edges.
-    fn recognised(view: &Matrix3<f32>, gain: f32, offset: f32) -> (f32, f32, f32) {
+    fn recognized(view: &Matrix3<f32>, gain: f32, offset: f32) -> (f32, f32, f32) {
         let scene = Scene::new(SIZE.0, SIZE.1, 5);
         let mut describer = LineDescriber::new();
         let mut describe = |view: &Matrix3<f32>, gain, offset| {
@@ -233,17 +233,17 @@ mod tests {
     }
 
     #[test]
-    fn edges_are_recognised_after_turning_scaling_and_relighting() {
+    fn edges_are_recognized_after_turning_scaling_and_relighting() {
         let still = Vector2::zeros();
         for (name, view, gain, offset, least) in [
             ("the same", Matrix3::identity(), 1.0, 0.0, 0.99),
             ("relit", Matrix3::identity(), 0.7, 35.0, 0.95),
-            ("moved", similarity(CENTRE, 1.0, 0.0, Vector2::new(7.3, -4.6)), 1.0, 0.0, 0.9),
-            ("turned", similarity(CENTRE, 1.0, 30.0, still), 1.0, 0.0, 0.8),
-            ("scaled", similarity(CENTRE, 1.1, 0.0, still), 1.0, 0.0, 0.7),
-            ("all of it", similarity(CENTRE, 0.9, -12.0, Vector2::new(5.0, 5.0)), 1.2, -20.0, 0.8),
+            ("moved", similarity(CENTER, 1.0, 0.0, Vector2::new(7.3, -4.6)), 1.0, 0.0, 0.9),
+            ("turned", similarity(CENTER, 1.0, 30.0, still), 1.0, 0.0, 0.8),
+            ("scaled", similarity(CENTER, 1.1, 0.0, still), 1.0, 0.0, 0.7),
+            ("all of it", similarity(CENTER, 0.9, -12.0, Vector2::new(5.0, 5.0)), 1.2, -20.0, 0.8),
         ] {
-            let (share, same, different) = recognised(&view, gain, offset);
+            let (share, same, different) = recognized(&view, gain, offset);
             println!(
                 "{name}: {share:.2} recognised, {same:.1} bits from themselves, {different:.1} from others"
             );

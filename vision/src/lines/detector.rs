@@ -49,8 +49,8 @@ pub struct LineDetectorConfig {
     /// Edges that stray more from their line are dropped, pixels (root mean square): they are curves. Default
     /// 1.0.
     pub max_sigma_px: f32,
-    /// Edges weaker than this are not followed by [`DetectorKind::EdgeDrawing`], grey levels per pixel
-    /// (`|gx| + |gy|` of the image smoothed with sigma 1). Default 4: noise of sigma 5 grey levels stays
+    /// Edges weaker than this are not followed by [`DetectorKind::EdgeDrawing`], gray levels per pixel
+    /// (`|gx| + |gy|` of the image smoothed with sigma 1). Default 4: noise of sigma 5 gray levels stays
     /// below.
     pub min_gradient: f32,
     /// [`DetectorKind::Lsd`] works on the image shrunk by this, 0.3 to 1. Default 0.8, which takes the

@@ -18,7 +18,7 @@ pub(super) struct Moments {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FittedLine {
     /// Mean of the points.
-    pub centre: Vector2<f64>,
+    pub center: Vector2<f64>,
     /// Unit vector along the line, of either sense.
     pub direction: Vector2<f64>,
     /// Variance of the points across the line, squared pixels.
@@ -53,10 +53,10 @@ impl Moments {
     /// along x.
     pub fn fit(&self) -> FittedLine {
         let n = self.n.max(1.0);
-        let centre = Vector2::new(self.x / n, self.y / n);
-        let xx = self.xx / n - centre.x * centre.x;
-        let xy = self.xy / n - centre.x * centre.y;
-        let yy = self.yy / n - centre.y * centre.y;
+        let center = Vector2::new(self.x / n, self.y / n);
+        let xx = self.xx / n - center.x * center.x;
+        let xy = self.xy / n - center.x * center.y;
+        let yy = self.yy / n - center.y * center.y;
         // Eigenvalues of [[xx, xy], [xy, yy]]: mean -+ radius.
         let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
         let radius = (half * half + xy * xy).sqrt();
@@ -64,7 +64,7 @@ impl Moments {
         let along =
             if half >= 0.0 { Vector2::new(half + radius, xy) } else { Vector2::new(xy, radius - half) };
         let direction = along.try_normalize(1e-12).unwrap_or_else(Vector2::x);
-        FittedLine { centre, direction, variance: (mean - radius).max(0.0) }
+        FittedLine { center, direction, variance: (mean - radius).max(0.0) }
     }
 }
 
@@ -78,20 +78,20 @@ impl FittedLine {
     /// Distance of a point from the line, pixels, signed.
     #[inline]
     pub fn distance(&self, point: Vector2<f32>) -> f64 {
-        let offset = point.cast::<f64>() - self.centre;
+        let offset = point.cast::<f64>() - self.center;
         self.direction.x * offset.y - self.direction.y * offset.x
     }
 
-    /// Where a point's foot lies along the line, pixels from the centre.
+    /// Where a point's foot lies along the line, pixels from the center.
     #[inline]
     pub fn along(&self, point: Vector2<f32>) -> f64 {
-        (point.cast::<f64>() - self.centre).dot(&self.direction)
+        (point.cast::<f64>() - self.center).dot(&self.direction)
     }
 
     /// The point at `along`.
     #[inline]
     pub fn at(&self, along: f64) -> Vector2<f32> {
-        (self.centre + self.direction * along).cast()
+        (self.center + self.direction * along).cast()
     }
 
     /// Turned, if need be, to run the same way as `direction`.
@@ -136,6 +136,6 @@ mod tests {
         }
         let line = moments.fit();
         assert!(line.variance < 1e-9 && (line.direction.norm() - 1.0).abs() < 1e-9);
-        assert!(Moments::default().fit().centre.norm() < 1e-9);
+        assert!(Moments::default().fit().center.norm() < 1e-9);
     }
 }

@@ -3,7 +3,7 @@
 
 use crate::GrayImage;
 
-/// What one grey level per pixel comes to in [`Gradients`]: 4 bits kept from the smoothing, 3 from the Sobel
+/// What one gray level per pixel comes to in [`Gradients`]: 4 bits kept from the smoothing, 3 from the Sobel
 /// weights.
 pub(super) const UNITS_PER_LEVEL: f32 = 128.0;
 
@@ -15,7 +15,7 @@ const RADIUS: usize = 2;
 pub(super) struct Gradients {
     pub width: usize,
     pub height: usize,
-    /// Along x, row by row, [`UNITS_PER_LEVEL`] to a grey level per pixel.
+    /// Along x, row by row, [`UNITS_PER_LEVEL`] to a gray level per pixel.
     pub x: Vec<i16>,
     /// Along y.
     pub y: Vec<i16>,
@@ -25,7 +25,7 @@ pub(super) struct Gradients {
     padded: Vec<u16>,
     /// Three smoothed rows, 4 fractional bits; row `y` is in slot `y % 3`.
     smoothed: [Vec<u16>; 3],
-    /// `above + 2 centre + below` and `below - above` of three smoothed rows.
+    /// `above + 2 center + below` and `below - above` of three smoothed rows.
     sum: Vec<i16>,
     difference: Vec<i16>,
 }
@@ -89,11 +89,11 @@ impl Gradients {
         let width = self.width;
         self.sum.resize(width, 0);
         self.difference.resize(width, 0);
-        let [above, centre, below] = [y + 2, y, y + 1].map(|row| &self.smoothed[row % 3][..width]);
+        let [above, center, below] = [y + 2, y, y + 1].map(|row| &self.smoothed[row % 3][..width]);
         let (sum, difference) = (&mut self.sum[..width], &mut self.difference[..width]);
         for x in 0..width {
             // A smoothed pixel is at most 4080: nothing here leaves 16 bits.
-            sum[x] = (above[x] + 2 * centre[x] + below[x]).cast_signed();
+            sum[x] = (above[x] + 2 * center[x] + below[x]).cast_signed();
             difference[x] = below[x].cast_signed() - above[x].cast_signed();
         }
         let row = y * width;

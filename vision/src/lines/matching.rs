@@ -28,9 +28,9 @@ impl LineGates {
     pub const PREDICTED: Self =
         Self { max_angle: 0.1, max_offset_px: 3.0, max_midpoint_distance_px: 200.0, min_overlap: 0.5 };
 
-    /// For segments of neighbouring images of which nothing else is known (values as UV-SLAM has them:
+    /// For segments of neighboring images of which nothing else is known (values as UV-SLAM has them:
     /// endpoints move up to 30 px, midpoints up to 50 px, 10 degrees).
-    pub const NEIGHBOURING: Self =
+    pub const NEIGHBORING: Self =
         Self { max_angle: 0.17, max_offset_px: 30.0, max_midpoint_distance_px: 50.0, min_overlap: 0.3 };
 
     /// Whether the two may be the same.
@@ -67,13 +67,13 @@ impl LineMatchConfig {
     /// For segments predicted into the image: geometry says most, so descriptors need only not disagree.
     pub const PREDICTED: Self = Self { gates: LineGates::PREDICTED, max_distance: 70, ratio: 0.95 };
 
-    /// For neighbouring images without a prediction.
-    pub const NEIGHBOURING: Self = Self { gates: LineGates::NEIGHBOURING, max_distance: 45, ratio: 0.85 };
+    /// For neighboring images without a prediction.
+    pub const NEIGHBORING: Self = Self { gates: LineGates::NEIGHBORING, max_distance: 45, ratio: 0.85 };
 }
 
 impl Default for LineMatchConfig {
     fn default() -> Self {
-        Self::NEIGHBOURING
+        Self::NEIGHBORING
     }
 }
 
@@ -207,7 +207,7 @@ mod tests {
 
     #[test]
     fn matches_are_mutual_and_clear() {
-        let config = LineMatchConfig::NEIGHBOURING;
+        let config = LineMatchConfig::NEIGHBORING;
         let at = |y: f32| segment((10.0, y), (90.0, y));
         // Both of the first want the same; the one that looks more like it gets it.
         assert_eq!(matches(&[(at(0.0), 8), (at(9.0), 2)], &[(at(4.0), 0)], &config), [(1, 0, 2)]);

@@ -163,21 +163,21 @@ pub fn merge_pair(a: &Segment, b: &Segment) -> Segment {
     if !(total > 0.0 && total.is_finite()) {
         return *a;
     }
-    let centre = (a.midpoint() * length_a + b.midpoint() * length_b) / total;
+    let center = (a.midpoint() * length_a + b.midpoint() * length_b) / total;
     let mut scatter = Scatter::default();
     for (segment, length) in [(a, length_a), (b, length_b)] {
-        scatter.add(segment.midpoint() - centre, length);
+        scatter.add(segment.midpoint() - center, length);
         scatter.add(segment.direction(), length.powi(3) / 12.0);
     }
     let longer = if length_a >= length_b { a } else { b };
     let (direction, across) = scatter.main_axis(longer.direction());
-    let along = [a.start, a.end, b.start, b.end].map(|pixel| direction.dot(&(pixel - centre)));
+    let along = [a.start, a.end, b.start, b.end].map(|pixel| direction.dot(&(pixel - center)));
     let (first, last) =
         along.iter().fold((f32::MAX, f32::MIN), |(first, last), &t| (first.min(t), last.max(t)));
     let mean = |value_a: f32, value_b: f32| (value_a * length_a + value_b * length_b) / total;
     let merged = Segment {
-        start: centre + direction * first,
-        end: centre + direction * last,
+        start: center + direction * first,
+        end: center + direction * last,
         sigma_px: (mean(a.sigma_px.powi(2), b.sigma_px.powi(2)) + across / total).sqrt(),
         gradient: mean(a.gradient, b.gradient),
     };

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector2;
 
-/// Sums of the products of offsets from a centre: what a total least-squares line needs.
+/// Sums of the products of offsets from a center: what a total least-squares line needs.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Scatter {
     xx: f32,

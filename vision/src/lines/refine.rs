@@ -10,7 +10,7 @@ use crate::lines::select::Ends;
 
 /// The gradient's maximum is looked for this far from the segment as detected, pixels.
 const SEARCH_PX: i32 = 2;
-/// A maximum weaker than this is noise, grey levels per pixel.
+/// A maximum weaker than this is noise, gray levels per pixel.
 const MIN_GRADIENT: f32 = 1.5;
 /// Maxima farther from the line through all of them than this multiple of the standard deviation are left
 /// out: they belong to another edge, or to the corner the edge ends in.
@@ -96,11 +96,11 @@ impl Refiner {
         let u_grows = profiles.to_uv(line.direction.cast()).x > 0.0;
         let [first, last] = [(first, !u_grows), (last, u_grows)]
             .map(|(from, u_grows)| line.along(extended(profiles, line, from, u_grows)));
-        // An edge reaches half a pixel beyond the centre of its last one.
+        // An edge reaches half a pixel beyond the center of its last one.
         (line.at(first - 0.5), line.at(last + 0.5))
     }
 
-    /// Mean gradient across the line at the samples, grey levels per pixel.
+    /// Mean gradient across the line at the samples, gray levels per pixel.
     fn mean_gradient(&self, gradients: &Gradients, line: &FittedLine) -> f32 {
         let (nx, ny) = (-line.direction.y as f32, line.direction.x as f32);
         let across = |sample: &Vector2<f32>| {
@@ -115,11 +115,11 @@ impl Refiner {
 fn extended(profiles: &Profiles, line: &FittedLine, from: Vector2<f32>, u_grows: bool) -> Vector2<f32> {
     let mut last = from;
     let direction = profiles.to_uv(line.direction.cast());
-    let centre = profiles.to_uv(line.centre.cast());
+    let center = profiles.to_uv(line.center.cast());
     let begin = profiles.to_uv(from).x as usize;
     for step in 1..=MAX_EXTENSION_PX {
         let Some(u) = (if u_grows { Some(begin + step) } else { begin.checked_sub(step) }) else { break };
-        let v = centre.y + (u as f32 - centre.x) * direction.y / direction.x;
+        let v = center.y + (u as f32 - center.x) * direction.y / direction.x;
         match profiles.peak(u, v) {
             Some(peak) if line.distance(peak).abs() <= MAX_EXTENSION_STRAY_PX => last = peak,
             _ => break,
@@ -163,15 +163,15 @@ impl<'a> Profiles<'a> {
     #[inline]
     fn peak(&self, u: usize, v: f32) -> Option<Vector2<f32>> {
         let v = v.round();
-        // The neighbours of the last place searched must be inside.
+        // The neighbors of the last place searched must be inside.
         let reach = (SEARCH_PX + 1) as f32;
         if u >= self.u_size || !(v >= reach && v + reach <= self.v_size as f32 - 1.0) {
             return None;
         }
-        let centre = u * self.u_stride + v as usize * self.v_stride;
+        let center = u * self.u_stride + v as usize * self.v_stride;
         let value = |offset: i32| {
             self.sign
-                * f32::from(self.field[centre.wrapping_add_signed(offset as isize * self.v_stride as isize)])
+                * f32::from(self.field[center.wrapping_add_signed(offset as isize * self.v_stride as isize)])
         };
         peak_near(value).map(|offset| self.to_uv(Vector2::new(u as f32, v + offset)))
     }
@@ -189,22 +189,22 @@ fn moments_of(points: &[Vector2<f32>]) -> Moments {
 #[inline]
 fn peak_near(value: impl Fn(i32) -> f32) -> Option<f32> {
     let mut at = 0;
-    let mut centre = value(at);
+    let mut center = value(at);
     let (mut before, mut after) = (value(at - 1), value(at + 1));
-    while after > centre && at < SEARCH_PX {
+    while after > center && at < SEARCH_PX {
         at += 1;
-        (before, centre, after) = (centre, after, value(at + 1));
+        (before, center, after) = (center, after, value(at + 1));
     }
-    while before > centre && at > -SEARCH_PX {
+    while before > center && at > -SEARCH_PX {
         at -= 1;
-        (before, centre, after) = (value(at - 1), before, centre);
+        (before, center, after) = (value(at - 1), before, center);
     }
-    let is_peak = centre >= before && centre >= after;
-    if !is_peak || centre < MIN_GRADIENT * UNITS_PER_LEVEL {
+    let is_peak = center >= before && center >= after;
+    if !is_peak || center < MIN_GRADIENT * UNITS_PER_LEVEL {
         return None;
     }
     // The profile of a smoothed step is close to a Gaussian: its logarithm is a parabola.
-    let [before, centre, after] = [before, centre, after].map(|value| value.max(1.0).ln());
-    let curvature = before - 2.0 * centre + after;
+    let [before, center, after] = [before, center, after].map(|value| value.max(1.0).ln());
+    let curvature = before - 2.0 * center + after;
     Some(if curvature < -1e-6 { at as f32 + 0.5 * (before - after) / curvature } else { at as f32 })
 }

@@ -1,4 +1,4 @@
-//! Grey levels between pixels, on straight paths and in half the resolution.
+//! Gray levels between pixels, on straight paths and in half the resolution.
 
 use nalgebra::Vector2;
 
@@ -8,7 +8,7 @@ use crate::GrayImage;
 const FRACTION_BITS: u32 = 16;
 /// Interpolation weights are in parts of this many.
 const ONE: u32 = 256;
-/// A position must be this far inside the outermost pixel centres, pixels: room for the rounding of a path's
+/// A position must be this far inside the outermost pixel centers, pixels: room for the rounding of a path's
 /// positions.
 const MARGIN_PX: f32 = 0.01;
 
@@ -25,14 +25,14 @@ impl<'a> Sampler<'a> {
         Self { pixels: image.as_raw(), width: image.width() as usize, height: image.height() as usize }
     }
 
-    /// Whether a grey level can be interpolated there; false for what is not finite.
+    /// Whether a gray level can be interpolated there; false for what is not finite.
     #[inline]
     pub fn contains(&self, position: Vector2<f32>) -> bool {
         let inside = |value: f32, n: usize| value >= MARGIN_PX && value <= n as f32 - 1.0 - MARGIN_PX;
         inside(position.x, self.width) && inside(position.y, self.height)
     }
 
-    /// Fills `out` with the grey levels at `start + i * step`. False, and nothing done, if the path leaves
+    /// Fills `out` with the gray levels at `start + i * step`. False, and nothing done, if the path leaves
     /// the image.
     #[inline]
     pub fn path(&self, start: Vector2<f32>, step: Vector2<f32>, out: &mut [f32]) -> bool {
@@ -70,7 +70,7 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// The grey level at one position, or `None` outside.
+    /// The gray level at one position, or `None` outside.
     #[inline]
     pub fn at(&self, position: Vector2<f32>) -> Option<f32> {
         let mut value = [0.0];
@@ -104,7 +104,7 @@ pub(super) fn halve(image: &GrayImage, out: &mut GrayImage) {
     }
 }
 
-/// Where a pixel of the full image lies after halving it `level` times: block centres are pixel centres.
+/// Where a pixel of the full image lies after halving it `level` times: block centers are pixel centers.
 #[inline]
 pub(super) fn halved_position(position: Vector2<f32>, level: usize) -> Vector2<f32> {
     let scale = 1.0 / (1u32 << level) as f32;

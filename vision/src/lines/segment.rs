@@ -14,7 +14,7 @@ pub struct Segment {
     pub end: Vector2<f32>,
     /// Standard deviation of the edge's position across the segment, pixels: how well the line fits the edge.
     pub sigma_px: f32,
-    /// Mean gradient across the segment, grey levels per pixel.
+    /// Mean gradient across the segment, gray levels per pixel.
     pub gradient: f32,
 }
 

@@ -17,7 +17,7 @@ const MAX_MOVE: usize = 2;
 const N_PLACES: usize = 2 * (MAX_MOVE + 1) + GRADIENT_STEPS + 1;
 /// Most samples along the edge at each place of a profile.
 const MAX_SAMPLES: usize = 32;
-/// A maximum weaker than this is noise, grey levels per pixel.
+/// A maximum weaker than this is noise, gray levels per pixel.
 const MIN_GRADIENT: f32 = 1.5;
 
 /// The segment, moved and turned to the maxima of the gradient of the unsmoothed image, averaged along each
@@ -25,12 +25,12 @@ const MIN_GRADIENT: f32 = 1.5;
 pub(super) fn sharpen(image: &Sampler, segment: &Segment) -> Segment {
     let quarter = segment.vector() * 0.25;
     let normal = segment.normal();
-    let offset = |centre: Vector2<f32>| offset(image, centre, quarter, normal);
+    let offset = |center: Vector2<f32>| offset(image, center, quarter, normal);
     let middle = segment.midpoint();
     let Some((first, second)) = offset(middle - quarter).zip(offset(middle + quarter)) else {
         return *segment;
     };
-    // The halves' centres lie a quarter from the middle: the ends move by as much again as those differ.
+    // The halves' centers lie a quarter from the middle: the ends move by as much again as those differ.
     let (mean, slope) = ((first + second) / 2.0, second - first);
     Segment {
         start: segment.start + normal * (mean - slope),
@@ -39,12 +39,12 @@ pub(super) fn sharpen(image: &Sampler, segment: &Segment) -> Segment {
     }
 }
 
-/// How far the edge lies from the line through `centre`, towards `normal`, pixels; `half` is half the vector
+/// How far the edge lies from the line through `center`, towards `normal`, pixels; `half` is half the vector
 /// along it.
-fn offset(image: &Sampler, centre: Vector2<f32>, half: Vector2<f32>, normal: Vector2<f32>) -> Option<f32> {
+fn offset(image: &Sampler, center: Vector2<f32>, half: Vector2<f32>, normal: Vector2<f32>) -> Option<f32> {
     let n = (2.0 * half.norm()).ceil().clamp(4.0, MAX_SAMPLES as f32) as usize;
     let step = half * (2.0 / n as f32);
-    let first = centre - half + step * 0.5;
+    let first = center - half + step * 0.5;
     let mut profile = [0.0; N_PLACES];
     let mut samples = [0.0; MAX_SAMPLES];
     for (place, level) in profile.iter_mut().enumerate() {
@@ -84,25 +84,25 @@ mod tests {
     use crate::GrayImage;
     use crate::test_images::Random;
 
-    /// A dark bar of this width on a bright ground, its left edge through the image's centre, with noise.
+    /// A dark bar of this width on a bright ground, its left edge through the image's center, with noise.
     fn bar(width_px: f32, degrees: f32, noise: f32) -> (GrayImage, Segment) {
         const SUBPIXELS: u32 = 16;
         let normal = Vector2::new(degrees.to_radians().cos(), degrees.to_radians().sin());
-        let centre = Vector2::new(40.2, 39.7);
+        let center = Vector2::new(40.2, 39.7);
         let mut random = Random::new(5);
         let image = GrayImage::from_fn(80, 80, |x, y| {
             let subpixels = (0..SUBPIXELS * SUBPIXELS).map(|i| Vector2::new(i % SUBPIXELS, i / SUBPIXELS));
             let n_dark = subpixels
                 .map(|at| at.cast::<f32>().add_scalar(0.5) / SUBPIXELS as f32)
                 .map(|at| Vector2::new(x as f32, y as f32) + at.add_scalar(-0.5))
-                .filter(|at| (0.0..width_px).contains(&normal.dot(&(at - centre))))
+                .filter(|at| (0.0..width_px).contains(&normal.dot(&(at - center))))
                 .count();
             let level = 150.0 - 60.0 * n_dark as f32 / (SUBPIXELS * SUBPIXELS) as f32;
             (level + noise * (random.unit() - 0.5)) as u8
         });
         // The brighter side, against `normal`, is to the right.
         let along = Vector2::new(-normal.y, normal.x) * 25.0;
-        let edge = Segment { start: centre - along, end: centre + along, sigma_px: 0.3, gradient: 20.0 };
+        let edge = Segment { start: center - along, end: center + along, sigma_px: 0.3, gradient: 20.0 };
         (image, edge)
     }
 

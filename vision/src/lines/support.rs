@@ -13,7 +13,7 @@ const MAX_PLACES: usize = 512;
 /// When a place counts as lying on an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeSupportConfig {
-    /// Least gradient towards the bright side, grey levels per pixel. Default 3: detectors start at 5, and a
+    /// Least gradient towards the bright side, gray levels per pixel. Default 3: detectors start at 5, and a
     /// track may fade a little; the noise of a gradient is 1 to 1.5.
     pub min_gradient: f32,
     /// Largest angle between the gradient and the normal, radians. Default 22.5 degrees, the tolerance
@@ -35,7 +35,7 @@ impl Default for EdgeSupportConfig {
 pub(super) struct EdgeProbe<'a> {
     sampler: Sampler<'a>,
     min_gradient: f32,
-    /// Largest gradient along the edge for one grey level per pixel across it.
+    /// Largest gradient along the edge for one gray level per pixel across it.
     max_slope: f32,
 }
 
@@ -44,7 +44,7 @@ pub(super) struct EdgeProbe<'a> {
 pub(super) struct EdgeSupport {
     /// Supported places over all places.
     pub share: f32,
-    /// Mean gradient over supported places, grey levels per pixel.
+    /// Mean gradient over supported places, gray levels per pixel.
     pub gradient: f32,
 }
 
@@ -113,7 +113,7 @@ impl<'a> EdgeProbe<'a> {
     }
 }
 
-/// Neighbouring places with support.
+/// Neighboring places with support.
 #[derive(Clone, Copy)]
 struct Run {
     first: usize,

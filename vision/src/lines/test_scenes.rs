@@ -13,7 +13,7 @@ const CELL: f32 = 90.0;
 
 #[derive(Clone, Copy)]
 struct Rectangle {
-    centre: Vector2<f32>,
+    center: Vector2<f32>,
     /// Half its sides, along its own axes.
     half: Vector2<f32>,
     /// Unit vector of its first axis.
@@ -27,7 +27,7 @@ impl Rectangle {
     }
 
     fn contains(&self, point: Vector2<f32>) -> bool {
-        let offset = point - self.centre;
+        let offset = point - self.center;
         offset.dot(&self.axis).abs() <= self.half.x && offset.dot(&self.second_axis()).abs() <= self.half.y
     }
 }
@@ -61,7 +61,7 @@ impl Scene {
                 let angle = random.unit() * std::f32::consts::PI;
                 let contrast = 35.0 + 60.0 * random.unit();
                 Rectangle {
-                    centre: (cell + Vector2::repeat(0.5)) * CELL,
+                    center: (cell + Vector2::repeat(0.5)) * CELL,
                     half: Vector2::new(18.0 + 16.0 * random.unit(), 8.0 + 18.0 * random.unit()),
                     axis: Vector2::new(angle.cos(), angle.sin()),
                     value: if random.below(2) == 0 { GROUND - contrast } else { GROUND + contrast },
@@ -111,7 +111,7 @@ impl Scene {
             let (a, b) = (rectangle.axis * rectangle.half.x, rectangle.second_axis() * rectangle.half.y);
             // Clockwise on the screen, so the inside is to the right.
             let corners =
-                [-a - b, a - b, a + b, b - a].map(|c| apply(image_from_plane, rectangle.centre + c));
+                [-a - b, a - b, a + b, b - a].map(|c| apply(image_from_plane, rectangle.center + c));
             for side in 0..4 {
                 let (from, to) = (corners[side], corners[(side + 1) % 4]);
                 let (start, end) = if rectangle.value > GROUND { (from, to) } else { (to, from) };

@@ -14,10 +14,10 @@ fn detect(kind: DetectorKind, image: &GrayImage) -> Vec<Segment> {
     detector(LineDetectorConfig { kind, ..Default::default() }).unwrap().detect(image)
 }
 
-/// A bright rectangle with the given centre, half sides and rotation, each pixel the mean of 8 x 8 places in
+/// A bright rectangle with the given center, half sides and rotation, each pixel the mean of 8 x 8 places in
 /// it.
 struct Rectangle {
-    centre: Vector2<f32>,
+    center: Vector2<f32>,
     half: Vector2<f32>,
     angle: f32,
 }
@@ -36,7 +36,7 @@ impl Rectangle {
             for i in 0..256 {
                 let place =
                     Vector2::new((i % 16) as f32, (i / 16) as f32) / 16.0 - Vector2::repeat(15.0 / 32.0);
-                let offset = Vector2::new(x as f32, y as f32) + place - self.centre;
+                let offset = Vector2::new(x as f32, y as f32) + place - self.center;
                 inside +=
                     u32::from(offset.dot(&u).abs() <= self.half.x && offset.dot(&v).abs() <= self.half.y);
             }
@@ -49,7 +49,7 @@ impl Rectangle {
     /// Its sides, each directed with the inside to the right.
     fn sides(&self) -> [(Vector2<f32>, Vector2<f32>); 4] {
         let [u, v] = self.axes().map(|axis| axis);
-        let corner = |x: f32, y: f32| self.centre + u * (x * self.half.x) + v * (y * self.half.y);
+        let corner = |x: f32, y: f32| self.center + u * (x * self.half.x) + v * (y * self.half.y);
         let corners = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
         std::array::from_fn(|i| (corners[i], corners[(i + 1) % 4]))
     }
@@ -60,7 +60,7 @@ fn the_sides_of_a_rectangle_are_found_to_a_fraction_of_a_pixel() {
     for kind in KINDS {
         for (degrees, noise) in (0..90).step_by(9).flat_map(|degrees| [(degrees, 0.0), (degrees, 4.0)]) {
             let rectangle = Rectangle {
-                centre: Vector2::new(100.3, 90.6),
+                center: Vector2::new(100.3, 90.6),
                 half: Vector2::new(60.2, 40.4),
                 angle: (degrees as f32).to_radians(),
             };

@@ -87,7 +87,7 @@ mod tests {
     #[test]
     fn a_quarter_turn_of_image_and_angle_changes_nothing() {
         let image = test_images::blobs(41, 41, 2);
-        // Clockwise on the screen: what was at (dx, dy) from the centre is now at (-dy, dx).
+        // Clockwise on the screen: what was at (dx, dy) from the center is now at (-dy, dx).
         let turned = GrayImage::from_fn(41, 41, |x, y| image.row(40 - x)[y as usize]);
         let tests = SteeredTests::new();
         // A quarter turn is a whole number of steps; only rounding to pixels may tell the two apart.

@@ -1,9 +1,9 @@
 //! FAST-9/16 corners [Rosten & Drummond, "Machine learning for high-speed corner detection", ECCV 2006].
 //!
-//! A pixel is a corner if 9 neighbouring pixels of the 16 on a circle of radius 3 are all brighter, or all
+//! A pixel is a corner if 9 neighboring pixels of the 16 on a circle of radius 3 are all brighter, or all
 //! darker, than it by more than a threshold. Its *score* is the largest threshold at which that is not yet
 //! false: with `b` the largest, over the 16 arcs, of an arc's smallest pixel and `d` the smallest of an arc's
-//! largest, the score is `max(b - centre, centre - d, 0)`. That form needs no branch, so whole vectors of
+//! largest, the score is `max(b - center, center - d, 0)`. That form needs no branch, so whole vectors of
 //! pixels are scored at once.
 
 use super::OrbConfig;
@@ -17,11 +17,11 @@ use crate::GrayImage;
 pub(super) struct Corner {
     pub x: u16,
     pub y: u16,
-    /// See the head of this file, grey levels.
+    /// See the head of this file, gray levels.
     pub score: u8,
 }
 
-/// The circle of 16 pixels, (dx, dy), in order around the centre.
+/// The circle of 16 pixels, (dx, dy), in order around the center.
 #[rustfmt::skip]
 const CIRCLE: [(isize, isize); 16] = [
     (0, -3), (1, -3), (2, -2), (3, -1), (3, 0), (3, 1), (2, 2), (1, 3),
@@ -51,7 +51,7 @@ struct Region {
 
 impl Detector {
     /// Appends the corners of `image` to `corners`: those above `fast_threshold` that are the largest among
-    /// their eight neighbours, and in cells that have none, those above `min_fast_threshold`.
+    /// their eight neighbors, and in cells that have none, those above `min_fast_threshold`.
     pub fn detect(&mut self, image: &GrayImage, config: &OrbConfig, corners: &mut Vec<Corner>) {
         let (width, height) = (image.width() as usize, image.height() as usize);
         let margin = config.edge_margin_px as usize;
@@ -79,7 +79,7 @@ impl Detector {
             let top = margin + row * cell;
             let mut column = 0;
             while column < n_columns {
-                // Neighbouring empty cells are searched as one.
+                // Neighboring empty cells are searched as one.
                 let rest = &self.occupied[row * n_columns + column..(row + 1) * n_columns];
                 let n_empty = rest.iter().take_while(|&&occupied| !occupied).count();
                 if n_empty > 0 {
@@ -174,7 +174,7 @@ impl Detector {
             for x in region.left..region.right {
                 let at = y * width + x;
                 let score = self.scores[at];
-                let (before, after) = neighbours(at, width);
+                let (before, after) = neighbors(at, width);
                 let is_peak = before.iter().all(|&i| self.scores[i] < score)
                     && after.iter().all(|&i| self.scores[i] <= score);
                 if score > threshold && is_peak {
@@ -190,10 +190,10 @@ fn fits<L: Lanes>(image: &GrayImage) -> bool {
     image.width() as usize >= L::N + 2 * CIRCLE_RADIUS
 }
 
-/// The eight neighbours of pixel `at`: those before it in reading order, which must be smaller than a peak,
-/// and those after it, which must not be larger. So of equal neighbouring scores the first is the peak.
+/// The eight neighbors of pixel `at`: those before it in reading order, which must be smaller than a peak,
+/// and those after it, which must not be larger. So of equal neighboring scores the first is the peak.
 #[inline(always)]
-fn neighbours(at: usize, width: usize) -> ([usize; 4], [usize; 4]) {
+fn neighbors(at: usize, width: usize) -> ([usize; 4], [usize; 4]) {
     (
         [at - width - 1, at - width, at - width + 1, at - 1],
         [at + 1, at + width - 1, at + width, at + width + 1],
@@ -203,7 +203,7 @@ fn neighbours(at: usize, width: usize) -> ([usize; 4], [usize; 4]) {
 /// The scores of `L::N` pixels from index `at` on, or `None` if all are certainly at most `threshold`.
 #[inline(always)]
 fn score_lanes<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16], threshold: u8) -> Option<L> {
-    let centre = L::load(&pixels[at..]);
+    let center = L::load(&pixels[at..]);
     let threshold = L::splat(threshold);
     let on_circle = |k: usize| L::load(&pixels[at.wrapping_add_signed(circle[k % 16])..]);
     // Of two opposite pixels every arc of 9 holds at least one. So no arc is brighter throughout than the
@@ -213,7 +213,7 @@ fn score_lanes<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16], thresho
         (p.max(q).min(r.max(s)), p.min(q).max(r.min(s)))
     };
     let exceeds = |brightest: L, darkest: L| {
-        brightest.saturating_sub(centre).max(centre.saturating_sub(darkest)).saturating_sub(threshold)
+        brightest.saturating_sub(center).max(center.saturating_sub(darkest)).saturating_sub(threshold)
     };
     let (brightest, darkest) = bounds(0, 4);
     if !exceeds(brightest, darkest).any_non_zero() {
@@ -224,14 +224,14 @@ fn score_lanes<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16], thresho
         return None;
     }
     let (brightest, darkest) = arc_extremes(on_circle);
-    Some(brightest.saturating_sub(centre).max(centre.saturating_sub(darkest)))
+    Some(brightest.saturating_sub(center).max(center.saturating_sub(darkest)))
 }
 
 /// The largest of the 16 arcs' smallest pixels, and the smallest of their largest.
 #[inline(always)]
 fn arc_extremes<L: Lanes>(on_circle: impl Fn(usize) -> L) -> (L, L) {
     let circle: [L; 16] = std::array::from_fn(&on_circle);
-    // Extremes of 2, 4 and 8 neighbouring pixels, from every odd position on. The arcs of 9 from an even
+    // Extremes of 2, 4 and 8 neighboring pixels, from every odd position on. The arcs of 9 from an even
     // position `k` and from `k + 1` share the 8 pixels from `k + 1` on and differ in one: two arcs for one.
     let two: [(L, L); 8] = std::array::from_fn(|i| {
         let (a, b) = (circle[2 * i + 1], circle[(2 * i + 2) % 16]);
@@ -261,7 +261,7 @@ fn arc_extremes<L: Lanes>(on_circle: impl Fn(usize) -> L) -> (L, L) {
 fn peak_mask<L: Lanes>(scores: &[u8], at: usize, width: usize, threshold: u8) -> u32 {
     let load = |at: usize| L::load(&scores[at..]);
     let score = load(at);
-    let (before, after) = neighbours(at, width);
+    let (before, after) = neighbors(at, width);
     let largest = |at: [usize; 4]| load(at[0]).max(load(at[1])).max(load(at[2]).max(load(at[3])));
     // `score > max(before, threshold)` and `score >= after`, that is `score > after - 1` for scores above 0.
     let floor = largest(before).max(L::splat(threshold)).max(largest(after).saturating_sub(L::splat(1)));
@@ -274,8 +274,8 @@ fn score(image: &GrayImage, x: usize, y: usize) -> u8 {
     let at = y * image.width() as usize + x;
     let pixel =
         |dx: isize, dy: isize| i32::from(pixels[at.wrapping_add_signed(dy * image.width() as isize + dx)]);
-    let centre = pixel(0, 0);
-    let difference = CIRCLE.map(|(dx, dy)| pixel(dx, dy) - centre);
+    let center = pixel(0, 0);
+    let difference = CIRCLE.map(|(dx, dy)| pixel(dx, dy) - center);
     let arc = |start: usize, sign: i32| (start..start + 9).map(|k| sign * difference[k % 16]).min();
     let best = (0..16).filter_map(|start| arc(start, 1).max(arc(start, -1))).max();
     best.unwrap_or(0).max(0) as u8

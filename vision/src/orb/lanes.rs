@@ -1,5 +1,5 @@
 //! Vectors of bytes for the corner detector: 32 at a time with AVX2, 16 at a time in code every compiler
-//! vectorises.
+//! vectorizes.
 
 /// A vector of unsigned bytes. All functions are inlined into a caller that has the processor features they
 /// need.

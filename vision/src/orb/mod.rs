@@ -20,15 +20,15 @@ use fast::Corner;
 /// A described place in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Keypoint {
-    /// Column, pixels of level 0; the centre of the left-most pixel is 0.
+    /// Column, pixels of level 0; the center of the left-most pixel is 0.
     pub x: f32,
-    /// Row, pixels of level 0; the centre of the top-most pixel is 0.
+    /// Row, pixels of level 0; the center of the top-most pixel is 0.
     pub y: f32,
     /// Pyramid level it was found at, 0 the finest.
     pub octave: u8,
     /// Orientation, radians in [0, 2 pi), from x towards y (clockwise on the screen).
     pub angle: f32,
-    /// Corner strength: the largest FAST threshold at which it is still a corner, grey levels.
+    /// Corner strength: the largest FAST threshold at which it is still a corner, gray levels.
     pub response: f32,
 }
 
@@ -100,11 +100,11 @@ pub struct OrbConfig {
     pub n_features: usize,
     /// Pyramid levels, 1 to 16. Default 8: covers a change of scale of 3.6.
     pub n_levels: usize,
-    /// Ratio of neighbouring levels' sizes, above 1 and at most 2. Default 1.2.
+    /// Ratio of neighboring levels' sizes, above 1 and at most 2. Default 1.2.
     pub scale_factor: f32,
-    /// A corner's circle must differ by more than this, grey levels. Default 20.
+    /// A corner's circle must differ by more than this, gray levels. Default 20.
     pub fast_threshold: u8,
-    /// Threshold for cells where `fast_threshold` finds nothing, grey levels, at least 1. Default 7.
+    /// Threshold for cells where `fast_threshold` finds nothing, gray levels, at least 1. Default 7.
     pub min_fast_threshold: u8,
     /// Side of those cells, pixels of their level, at least 8. Default 30.
     pub cell_size_px: u32,
@@ -247,7 +247,7 @@ impl OrbExtractor {
         &self.config
     }
 
-    /// Changes the number of features wanted, for example while a map is being initialised.
+    /// Changes the number of features wanted, for example while a map is being initialized.
     pub fn set_n_features(&mut self, n_features: usize) {
         self.config.n_features = n_features;
     }
@@ -308,7 +308,7 @@ impl OrbExtractor {
             let shift = self.config.refine_corners.then(|| self.refiner.shift(blurred, x, y)).flatten();
             let (shift_x, shift_y) = shift.unwrap_or_default();
             features.keypoints.push(Keypoint {
-                // Pixel centres are at integers, the image's edge at -0.5; edges coincide in all levels.
+                // Pixel centers are at integers, the image's edge at -0.5; edges coincide in all levels.
                 x: (x as f32 + shift_x + 0.5) * scale_x - 0.5,
                 y: (y as f32 + shift_y + 0.5) * scale_y - 0.5,
                 octave: level as u8,

@@ -20,7 +20,7 @@ const fn disc_weights() -> [([i16; ROW], [i16; ROW]); RADIUS + 1] {
         let mut column = 0;
         while column < ROW {
             let dx = column as i16 - RADIUS as i16;
-            // Pixels whose centre is within radius 15.5: rounder than those within 15.
+            // Pixels whose center is within radius 15.5: rounder than those within 15.
             if dx as i32 * dx as i32 + (dy * dy) as i32 <= (RADIUS * (RADIUS + 1)) as i32 {
                 weights[dy].0[column] = dx;
                 weights[dy].1[column] = 1;

@@ -41,12 +41,12 @@ impl Refiner {
         let (mut xx, mut xy, mut yy, mut bx, mut by) = (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
         for row in 0..SIDE {
             let at = top_left + row * width;
-            let (above, centre, below) =
+            let (above, center, below) =
                 (&pixels[at - width..][..SIDE], &pixels[at - 1..][..SIDE + 2], &pixels[at + width..][..SIDE]);
             let weights = &self.weights[row * SIDE..][..SIDE];
             let dy = row as f32 - RADIUS as f32;
             for column in 0..SIDE {
-                let gx = f32::from(centre[column + 2]) - f32::from(centre[column]);
+                let gx = f32::from(center[column + 2]) - f32::from(center[column]);
                 let gy = f32::from(below[column]) - f32::from(above[column]);
                 let dx = column as f32 - RADIUS as f32;
                 let (wx, wy) = (weights[column] * gx, weights[column] * gy);

@@ -9,7 +9,7 @@ fn extractor() -> OrbExtractor {
     OrbExtractor::new(OrbConfig::default()).expect("the default configuration is valid")
 }
 
-/// `image` turned about its centre, clockwise on the screen; bilinear, mid-grey outside.
+/// `image` turned about its center, clockwise on the screen; bilinear, mid-gray outside.
 fn turned(image: &GrayImage, degrees: f32) -> GrayImage {
     let (sin, cos) = degrees.to_radians().sin_cos();
     let (cx, cy) = ((image.width() - 1) as f32 / 2.0, (image.height() - 1) as f32 / 2.0);
@@ -42,7 +42,7 @@ fn matches(a: &Features, b: &Features, moved: impl Fn(f32, f32) -> (f32, f32)) -
 }
 
 #[test]
-fn a_turned_image_is_recognised_and_its_angles_turn_along() {
+fn a_turned_image_is_recognized_and_its_angles_turn_along() {
     let image = test_images::blobs(321, 321, 1);
     let original = extractor().extract(&image);
     for degrees in [90.0f32, 30.0, 197.0] {
@@ -70,7 +70,7 @@ fn a_turned_image_is_recognised_and_its_angles_turn_along() {
 }
 
 #[test]
-fn a_shrunk_image_is_recognised_at_other_octaves() {
+fn a_shrunk_image_is_recognized_at_other_octaves() {
     let image = test_images::blobs(640, 480, 2);
     let shrunk = resize_area(&image, 400, 300);
     let (a, b) = (extractor().extract(&image), extractor().extract(&shrunk));

@@ -31,7 +31,7 @@ pub struct PlaceCandidate {
 
 /// How places are indexed.
 ///
-/// Measured on 7-Scenes RedKitchen, 250 images of 1000 features stored: of 132 queries with a true neighbour
+/// Measured on 7-Scenes RedKitchen, 250 images of 1000 features stored: of 132 queries with a true neighbor
 /// (within 0.3 m and 20 degrees, but over 2 s apart) 85 % had one among the first five, in 1.6 ms a query.
 /// One to four trees, leaves of 50 to 200 and distances of 35 to 55 gave 80 to 85 %, differences the sample
 /// can hardly tell from chance: the defaults were chosen for their time. On the 12 queries also matched all

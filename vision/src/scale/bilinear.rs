@@ -2,7 +2,7 @@
 
 use crate::GrayImage;
 
-/// Bilinear resizing with buffers kept between calls. Meant for ratios below 2, as between neighbouring
+/// Bilinear resizing with buffers kept between calls. Meant for ratios below 2, as between neighboring
 /// pyramid levels: beyond, pixels are skipped and detail is aliased.
 #[derive(Clone, Debug, Default)]
 pub struct BilinearResizer {
@@ -26,7 +26,7 @@ struct Tap {
 
 impl Tap {
     fn at(index: u32, old: u32, new: u32) -> Self {
-        // Pixel centres: the image's edges, not the centres of its outermost pixels, are what coincide.
+        // Pixel centers: the image's edges, not the centers of its outermost pixels, are what coincide.
         let position = (f64::from(index) + 0.5) * f64::from(old) / f64::from(new) - 0.5;
         let position = position.clamp(0.0, f64::from(old - 1));
         let left = (position as u32).min(old.saturating_sub(2));
@@ -73,7 +73,7 @@ fn blend_rows(upper: &[i16], lower: &[i16], weight: i16, out: &mut [u8]) {
     }
 }
 
-/// Outputs made at once from 16 neighbouring source pixels.
+/// Outputs made at once from 16 neighboring source pixels.
 const GROUP: usize = 8;
 /// Source pixels a group may draw on.
 const WINDOW: usize = 16;
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn resizing_interpolates_between_pixel_centres() {
+    fn resizing_interpolates_between_pixel_centers() {
         let image = test_images::noise(97, 61, 255, 1);
         for (width, height) in [(81, 51), (97, 61), (50, 40), (90, 9), (130, 70), (1, 1)] {
             let out = resized(&image, width, height);

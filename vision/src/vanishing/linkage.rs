@@ -29,7 +29,7 @@ pub(super) struct Linkage {
     /// Bits common to each two sets, `n * n`, both triangles.
     common: Vec<u32>,
     /// For each cluster, the nearest of those after it that are alive.
-    nearest: Vec<Option<Neighbour>>,
+    nearest: Vec<Option<Neighbor>>,
     /// Clusters not yet merged into another, ascending.
     alive: Vec<u32>,
     /// The cluster each segment is in.
@@ -38,13 +38,13 @@ pub(super) struct Linkage {
 
 /// Another cluster and how near it is.
 #[derive(Clone, Copy, Debug)]
-struct Neighbour {
+struct Neighbor {
     idx: u32,
     n_common: u32,
     n_union: u32,
 }
 
-impl Neighbour {
+impl Neighbor {
     /// Whether the Jaccard distance `1 - common / union` is smaller than the other's. Exact.
     #[inline]
     fn is_nearer_than(&self, other: &Self) -> bool {
@@ -71,8 +71,8 @@ impl Linkage {
         self.label.extend(0..planes.len() as u32);
         self.nearest.clear();
         for position in 0..self.alive.len() {
-            let neighbour = self.nearest_after(position);
-            self.nearest.push(neighbour);
+            let neighbor = self.nearest_after(position);
+            self.nearest.push(neighbor);
         }
         while let Some((into, from)) = self.closest_pair() {
             self.merge(into, from);
@@ -126,19 +126,19 @@ impl Linkage {
     }
 
     #[inline]
-    fn neighbour(&self, of: u32, idx: u32) -> Option<Neighbour> {
+    fn neighbor(&self, of: u32, idx: u32) -> Option<Neighbor> {
         let n_common = self.common[of as usize * self.label.len() + idx as usize];
         let n_union = self.counts[of as usize] + self.counts[idx as usize] - n_common;
-        (n_common > 0).then_some(Neighbour { idx, n_common, n_union })
+        (n_common > 0).then_some(Neighbor { idx, n_common, n_union })
     }
 
     /// The nearest of the live clusters after the one at `position`, the first of several; `None` if they
     /// share nothing with it.
-    fn nearest_after(&self, position: usize) -> Option<Neighbour> {
+    fn nearest_after(&self, position: usize) -> Option<Neighbor> {
         let of = self.alive[position];
-        let mut best: Option<Neighbour> = None;
+        let mut best: Option<Neighbor> = None;
         for &idx in &self.alive[position + 1..] {
-            if let Some(found) = self.neighbour(of, idx)
+            if let Some(found) = self.neighbor(of, idx)
                 && best.is_none_or(|best| found.is_nearer_than(&best))
             {
                 best = Some(found);
@@ -148,7 +148,7 @@ impl Linkage {
     }
 
     fn closest_pair(&self) -> Option<(u32, u32)> {
-        let mut best: Option<(u32, Neighbour)> = None;
+        let mut best: Option<(u32, Neighbor)> = None;
         for &idx in &self.alive {
             if let Some(found) = self.nearest[idx as usize]
                 && best.is_none_or(|(_, best)| found.is_nearer_than(&best))
@@ -156,10 +156,10 @@ impl Linkage {
                 best = Some((idx, found));
             }
         }
-        best.map(|(idx, neighbour)| (idx, neighbour.idx))
+        best.map(|(idx, neighbor)| (idx, neighbor.idx))
     }
 
-    /// Merges cluster `from` into cluster `into`, which is before it, and brings distances and neighbours up
+    /// Merges cluster `from` into cluster `into`, which is before it, and brings distances and neighbors up
     /// to date.
     fn merge(&mut self, into: u32, from: u32) {
         let n = self.label.len();
@@ -188,7 +188,7 @@ impl Linkage {
             if idx == into || has_lost_its_nearest {
                 self.nearest[idx as usize] = self.nearest_after(position);
             } else if idx < into
-                && let Some(found) = self.neighbour(idx, into)
+                && let Some(found) = self.neighbor(idx, into)
             {
                 let replaces = stored.is_none_or(|stored| {
                     found.is_nearer_than(&stored) || (!stored.is_nearer_than(&found) && into < stored.idx)

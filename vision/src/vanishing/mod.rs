@@ -17,7 +17,7 @@
 //!     .filter_map(|i| {
 //!         let (sin, cos) = (f64::from(i) * 0.7).sin_cos();
 //!         let (near, far) = (Vector2::new(cos, sin) / 3.0, Vector2::new(cos, sin) / 6.0);
-//!         SegmentPlane::from_normalised(&near, &far, 1.0 / 458.0)
+//!         SegmentPlane::from_normalized(&near, &far, 1.0 / 458.0)
 //!     })
 //!     .collect();
 //! let mut estimator = VanishingEstimator::new(VanishingConfig::default(), 7)?;

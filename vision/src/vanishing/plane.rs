@@ -1,4 +1,4 @@
-//! A segment as a calibrated camera sees it: the plane through the camera's centre that holds it.
+//! A segment as a calibrated camera sees it: the plane through the camera's center that holds it.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -27,13 +27,13 @@ pub struct SegmentPlane {
 }
 
 impl SegmentPlane {
-    /// From the endpoints in the undistorted, normalised image, `(x / z, y / z)`.
+    /// From the endpoints in the undistorted, normalized image, `(x / z, y / z)`.
     ///
     /// `sigma` is the standard deviation of an endpoint across the segment in the same units, `sigma_px / f`;
-    /// it need not be small against the distance from the image centre, where a pixel covers a smaller angle:
+    /// it need not be small against the distance from the image center, where a pixel covers a smaller angle:
     /// that is accounted for. `None` if anything is not finite, the endpoints coincide or `sigma` is not
     /// positive.
-    pub fn from_normalised(start: &Vector2<f64>, end: &Vector2<f64>, sigma: f64) -> Option<Self> {
+    pub fn from_normalized(start: &Vector2<f64>, end: &Vector2<f64>, sigma: f64) -> Option<Self> {
         let (start, end) = (start.push(1.0), end.push(1.0));
         let normal = start.cross(&end).try_normalize(0.0)?;
         // One unit across the image line lifts the point by this sine of the angle between image and plane,
@@ -144,14 +144,14 @@ mod tests {
     #[test]
     fn refuses_what_is_no_segment() {
         let (a, b) = (Vector2::new(0.1, 0.2), Vector2::new(0.3, 0.2));
-        assert!(SegmentPlane::from_normalised(&a, &b, 1e-3).is_some());
+        assert!(SegmentPlane::from_normalized(&a, &b, 1e-3).is_some());
         for bad in [f64::NAN, f64::INFINITY, -1e-3, 0.0, 2.0, 1e-320] {
-            assert_eq!(SegmentPlane::from_normalised(&a, &b, bad), None, "sigma {bad}");
+            assert_eq!(SegmentPlane::from_normalized(&a, &b, bad), None, "sigma {bad}");
         }
         for bad in [f64::NAN, f64::INFINITY, f64::MAX] {
-            assert_eq!(SegmentPlane::from_normalised(&Vector2::new(bad, 0.0), &b, 1e-3), None, "x {bad}");
+            assert_eq!(SegmentPlane::from_normalized(&Vector2::new(bad, 0.0), &b, 1e-3), None, "x {bad}");
         }
-        assert_eq!(SegmentPlane::from_normalised(&a, &a, 1e-3), None);
+        assert_eq!(SegmentPlane::from_normalized(&a, &a, 1e-3), None);
         let ray = Vector3::new(0.0, 0.6, 0.8);
         for parallel in [ray, -ray, ray * 3.0, Vector3::zeros()] {
             assert_eq!(SegmentPlane::from_rays(&ray, &parallel, 1e-3), None);
@@ -184,16 +184,16 @@ mod tests {
 
     #[test]
     fn image_noise_becomes_the_spread_of_the_residual() {
-        // Central differences through the constructor, far from the image centre: each endpoint moved across.
+        // Central differences through the constructor, far from the image center: each endpoint moved across.
         let (start, end) = (Vector2::new(0.7, -0.5), Vector2::new(0.9, -0.2));
         let sigma = 1e-6;
         let along = (end - start).normalize();
         let across = Vector2::new(-along.y, along.x) * sigma;
-        let plane = SegmentPlane::from_normalised(&start, &end, sigma).unwrap();
+        let plane = SegmentPlane::from_normalized(&start, &end, sigma).unwrap();
         // A direction in the plane.
         let direction = (plane.start() * 0.3 - plane.end()).normalize();
         let moved = |s: Vector2<f64>, e: Vector2<f64>| {
-            SegmentPlane::from_normalised(&s, &e, sigma).unwrap().residual(&direction)
+            SegmentPlane::from_normalized(&s, &e, sigma).unwrap().residual(&direction)
         };
         let variance = moved(start + across, end).powi(2) + moved(start, end + across).powi(2);
         assert!((variance / plane.variance(&direction) - 1.0).abs() < 1e-4);

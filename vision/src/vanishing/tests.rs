@@ -56,12 +56,12 @@ impl Scene {
         if !is_inside(&from) || !is_inside(&to) {
             return false;
         }
-        let mut normalised = |p: Vector2<f64>| {
+        let mut normalized = |p: Vector2<f64>| {
             let noise = Vector2::new(self.gaussian(), self.gaussian()) * self.noise_px;
             (p + noise - Vector2::new(WIDTH_PX, HEIGHT_PX) / 2.0) / FOCAL_PX
         };
-        let (from, to) = (normalised(from), normalised(to));
-        self.segments.extend(SegmentPlane::from_normalised(&from, &to, self.noise_px / FOCAL_PX));
+        let (from, to) = (normalized(from), normalized(to));
+        self.segments.extend(SegmentPlane::from_normalized(&from, &to, self.noise_px / FOCAL_PX));
         true
     }
 

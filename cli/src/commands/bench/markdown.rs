@@ -11,7 +11,7 @@ use super::statistics::{Row, Spread};
 use super::{Configuration, Pace};
 
 /// What stands above figures that must not be quoted.
-const UNOPTIMISED: &str = "**This was not a release build: its times say nothing.**\n\n";
+const UNOPTIMIZED: &str = "**This was not a release build: its times say nothing.**\n\n";
 
 /// The whole document. It has no date: the same figures give the same bytes.
 pub fn document(command: &str, machine: &Machine, pace: Pace, rows: &[Row], peers: &[Peer]) -> String {
@@ -30,7 +30,7 @@ pub fn document(command: &str, machine: &Machine, pace: Pace, rows: &[Row], peer
          Read ATE only beside coverage, the share of all frames with a pose: a short trajectory flatters it. Scale \
          drift is the local scale of the second half of the trajectory over that of the first. Memory is the peak \
          of server and client together.\n\n{warning}{tables}",
-        warning = if cfg!(debug_assertions) { UNOPTIMISED } else { "" },
+        warning = if cfg!(debug_assertions) { UNOPTIMIZED } else { "" },
         cores = machine.cores,
         cpu = machine.cpu,
         tables = tables(rows, peers),
@@ -58,7 +58,7 @@ fn accuracy(rows: &[Row], peers: &[Peer]) -> String {
             "coverage",
             "ATE RMSE, median (min–max)",
             "scale drift",
-            "key frames",
+            "keyframes",
             "points",
             "lines",
             "primitives",

@@ -46,7 +46,7 @@ pub struct BenchArgs {
     /// Table of other systems' figures to put beside ours
     #[arg(long, value_name = "FILE")]
     peers: Option<PathBuf>,
-    /// Layout of the recordings [default: recognised]
+    /// Layout of the recordings [default: recognized]
     #[arg(long, value_name = "L")]
     layout: Option<Layout>,
     /// Print one JSON object

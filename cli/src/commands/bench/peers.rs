@@ -22,7 +22,7 @@ pub struct Peer {
     pub tracking_cpu_ms: [Option<f64>; 2],
     /// Peak of resident memory, MB.
     pub peak_memory_mb: Option<f64>,
-    /// Key frames.
+    /// Keyframes.
     pub keyframes: Option<f64>,
     /// Points.
     pub points: Option<f64>,

@@ -40,7 +40,7 @@ pub struct Row {
     pub ate_rmse: Option<Spread>,
     /// Scale of the second half over that of the first.
     pub scale_drift: Option<Spread>,
-    /// Key frames.
+    /// Keyframes.
     pub keyframes: Option<Spread>,
     /// Points.
     pub points: Option<Spread>,

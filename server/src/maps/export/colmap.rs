@@ -1,7 +1,7 @@
 //! COLMAP's sparse model as text <https://colmap.github.io/format.html>.
 //!
 //! Poses are camera_from_world there as in the map, with the same axes. Pixels are not: COLMAP's origin is
-//! the corner of the top-left pixel, the map's its centre, so everything in pixels moves by half a pixel.
+//! the corner of the top-left pixel, the map's its center, so everything in pixels moves by half a pixel.
 
 use super::{ColmapPart, Export};
 use crate::error::ApiError;
@@ -11,11 +11,11 @@ use slam::map::KeyframeId;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-/// From the centre of the top-left pixel to its corner, pixels.
+/// From the center of the top-left pixel to its corner, pixels.
 const HALF_PIXEL: f64 = 0.5;
 
-/// Points have no colour in the map.
-const GREY: &str = "200 200 200";
+/// Points have no color in the map.
+const GRAY: &str = "200 200 200";
 
 /// COLMAP's mark for an error that was not computed.
 const NO_ERROR: &str = "-1";
@@ -59,7 +59,7 @@ fn camera_line(camera: &CameraParameters) -> String {
     line
 }
 
-/// Which point each keypoint sees, by key frame.
+/// Which point each keypoint sees, by keyframe.
 type SeenPoints = BTreeMap<KeyframeId, BTreeMap<u32, u64>>;
 
 async fn read_seen_points(export: &mut Export) -> Result<SeenPoints, ApiError> {
@@ -133,7 +133,7 @@ async fn write_points(export: &mut Export) -> Result<(), ApiError> {
         let mut text = String::new();
         for point in &points {
             let [x, y, z] = export.units.position(&point.position);
-            let _ = write!(text, "{} {x} {y} {z} {GREY} {NO_ERROR}", point.id);
+            let _ = write!(text, "{} {x} {y} {z} {GRAY} {NO_ERROR}", point.id);
             for seen in &point.observations {
                 let _ = write!(text, " {} {}", seen.keyframe, seen.feature_idx);
             }

@@ -25,7 +25,7 @@ use store::MapSnapshot;
 pub enum MapFormat {
     /// Polygon file (ASCII): points as vertices, lines as edges between two vertices each.
     Ply,
-    /// One object with key frames, points, lines and primitives.
+    /// One object with keyframes, points, lines and primitives.
     Json,
     /// A file of COLMAP's text model.
     Colmap(ColmapPart),
@@ -36,7 +36,7 @@ pub enum MapFormat {
 pub enum ColmapPart {
     /// `cameras.txt`: the session's camera.
     Cameras,
-    /// `images.txt`: key frames with their keypoints.
+    /// `images.txt`: keyframes with their keypoints.
     Images,
     /// `points3D.txt`: points with who sees them.
     Points3D,
@@ -65,7 +65,7 @@ impl MapFile {
 
 impl MapQueries {
     /// The map as a file, as of one commit: of one submap, or, if none is given, in JSON of all of them and
-    /// otherwise of the one with the most key frames, as submaps do not share a frame of reference.
+    /// otherwise of the one with the most keyframes, as submaps do not share a frame of reference.
     ///
     /// # Errors
     /// If there is no such session, or no room on the disk.
@@ -124,7 +124,7 @@ struct Export {
 }
 
 impl Export {
-    /// The submap with the most key frames, of equal ones the first.
+    /// The submap with the most keyframes, of equal ones the first.
     async fn largest_submap(&mut self) -> Result<SubmapId, ApiError> {
         let mut n_keyframes: BTreeMap<SubmapId, usize> = BTreeMap::new();
         let mut after = None;

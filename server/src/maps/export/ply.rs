@@ -7,14 +7,14 @@ use crate::model::Scale;
 use slam::map::PrimitiveId;
 use std::fmt::Write;
 
-type Colour = [u8; 3];
+type Color = [u8; 3];
 
 /// Points.
-const GREY: Colour = [200, 200, 200];
+const GRAY: Color = [200, 200, 200];
 /// Lines without a primitive.
-const BLUE: Colour = [70, 130, 220];
-/// Lines with one: colours that follow one another differ clearly.
-const PALETTE: [Colour; 6] =
+const BLUE: Color = [70, 130, 220];
+/// Lines with one: colors that follow one another differ clearly.
+const PALETTE: [Color; 6] =
     [[230, 60, 60], [60, 180, 75], [245, 165, 30], [150, 60, 200], [70, 200, 200], [220, 90, 180]];
 
 pub(super) async fn write(export: &mut Export) -> Result<(), ApiError> {
@@ -47,7 +47,7 @@ async fn write_points(export: &mut Export) -> Result<(), ApiError> {
         let Some(last) = points.last() else { return Ok(()) };
         after = Some(last.id);
         let mut text = String::new();
-        points.iter().for_each(|point| push_vertex(&mut text, export.units.position(&point.position), GREY));
+        points.iter().for_each(|point| push_vertex(&mut text, export.units.position(&point.position), GRAY));
         export.out.write(&text).await?;
     }
 }
@@ -60,18 +60,18 @@ async fn write_ends(export: &mut Export) -> Result<(), ApiError> {
         after = Some(last.id);
         let mut text = String::new();
         for line in &lines {
-            let colour = line.primitive.map_or(BLUE, colour_of);
-            line.endpoints.iter().for_each(|end| push_vertex(&mut text, export.units.position(end), colour));
+            let color = line.primitive.map_or(BLUE, color_of);
+            line.endpoints.iter().for_each(|end| push_vertex(&mut text, export.units.position(end), color));
         }
         export.out.write(&text).await?;
     }
 }
 
-fn colour_of(primitive: PrimitiveId) -> Colour {
+fn color_of(primitive: PrimitiveId) -> Color {
     PALETTE[(primitive.get() % PALETTE.len() as u64) as usize]
 }
 
-fn push_vertex(text: &mut String, [x, y, z]: [f64; 3], [red, green, blue]: Colour) {
+fn push_vertex(text: &mut String, [x, y, z]: [f64; 3], [red, green, blue]: Color) {
     // Writing to a string cannot fail.
     let _ = writeln!(text, "{x} {y} {z} {red} {green} {blue}");
 }

@@ -9,7 +9,7 @@ use optim::{Factor, Linearized};
 /// focal length and principal point as unknowns.
 ///
 /// `r(T, c, X) = (z − π_c(T · X)) / σ` as in [`PointReprojectionFactor`](super::PointReprojectionFactor),
-/// where `c = (focal, centre_x, centre_y)` are the members of a [`PinholeCorrection`].
+/// where `c = (focal, center_x, center_y)` are the members of a [`PinholeCorrection`].
 #[derive(Clone, Copy, Debug)]
 pub struct CalibratedReprojectionFactor {
     /// The ideal camera of the calibration.
@@ -20,14 +20,14 @@ pub struct CalibratedReprojectionFactor {
     pub inverse_sigma: f64,
 }
 
-/// A correction as a vector to be optimised.
+/// A correction as a vector to be optimized.
 pub fn correction_of(vector: &Vector3<f64>) -> PinholeCorrection {
-    PinholeCorrection { focal: vector.x, centre_x: vector.y, centre_y: vector.z }
+    PinholeCorrection { focal: vector.x, center_x: vector.y, center_y: vector.z }
 }
 
 /// Reverses [`correction_of`].
 pub fn vector_of(correction: &PinholeCorrection) -> Vector3<f64> {
-    Vector3::new(correction.focal, correction.centre_x, correction.centre_y)
+    Vector3::new(correction.focal, correction.center_x, correction.center_y)
 }
 
 impl Factor for CalibratedReprojectionFactor {

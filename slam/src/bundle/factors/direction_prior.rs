@@ -7,7 +7,7 @@ use optim::{Factor, Linearized};
 /// Difference of a direction from a known one, in standard deviations.
 ///
 /// `r(d) = S Bᵀ (±d)`, where `B` is the tangent basis of the known direction, the sign makes the angle acute,
-/// and `Sᵀ S` is the information (1/radians²) in that basis: the sight of key frames outside the problem.
+/// and `Sᵀ S` is the information (1/radians²) in that basis: the sight of keyframes outside the problem.
 /// [method: Direction prior]
 #[derive(Clone, Copy, Debug)]
 pub struct DirectionPriorFactor {

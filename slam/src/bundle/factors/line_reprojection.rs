@@ -6,7 +6,7 @@ use geometry::{OrthonormalLine, Pinhole, Pose, so3};
 use optim::{Factor, Linearized};
 
 /// An image line whose normal is shorter than this, relative to the focal length, is seen end on: the line
-/// passes the camera's centre.
+/// passes the camera's center.
 const MIN_NORMAL: f64 = 1e-9;
 
 /// Distances of the two ends of a segment from the projection of its line, in standard deviations.
@@ -16,7 +16,7 @@ const MIN_NORMAL: f64 = 1e-9;
 /// undistorted ends (pixels) and `σ` their standard deviation across the segment (pixels).
 /// [method: Line reprojection error]. `L` is given about the point `origin` of the world (map units), near
 /// the line but not on it, where its four parameters are well conditioned. Not defined for a line through the
-/// camera's centre.
+/// camera's center.
 #[derive(Clone, Copy, Debug)]
 pub struct LineReprojectionFactor {
     /// The ideal camera.

@@ -1,4 +1,4 @@
-//! Two key frames of the essential graph keep their relative place, attitude and scale.
+//! Two keyframes of the essential graph keep their relative place, attitude and scale.
 
 use super::similarity_reprojection::d_moved_d_similarity;
 use geometry::nalgebra::{Matrix3, SMatrix, SVector};

@@ -1,4 +1,4 @@
-//! Edits of key frames.
+//! Edits of keyframes.
 
 use super::*;
 use crate::features::{FrameFeatures, LineFeature, PyramidGeometry};
@@ -79,7 +79,7 @@ impl KeyframeEdit {
     }
 }
 
-/// Whether two key frames, as far as they are there, are of one submap.
+/// Whether two keyframes, as far as they are there, are of one submap.
 fn are_together(map: &Map, a: KeyframeId, b: KeyframeId) -> bool {
     map.keyframe(a).zip(map.keyframe(b)).is_none_or(|(a, b)| a.submap == b.submap)
 }
@@ -93,7 +93,7 @@ fn new_keyframe(map: &Map, submap: SubmapId, parent: Index, pose: &Vector6<f64>)
     Keyframe::from_parts(id, submap, id.get(), id.get() as i64 * 1000, pose, features(), parent)
 }
 
-/// What every key frame measures: to the edits it does not matter what.
+/// What every keyframe measures: to the edits it does not matter what.
 fn features() -> Arc<FrameFeatures> {
     static FEATURES: OnceLock<Arc<FrameFeatures>> = OnceLock::new();
     let make = || {

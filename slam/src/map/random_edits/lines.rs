@@ -26,7 +26,7 @@ pub(super) fn edits() -> impl Strategy<Value = LineEdit> {
             .prop_map(|(line, keyframe, feature_idx)| LineEdit::Observe(line, keyframe, feature_idx)),
         1 => (index(), index()).prop_map(|(line, keyframe)| LineEdit::Unobserve(line, keyframe)),
         1 => index().prop_map(LineEdit::Remove),
-        2 => (index(), index()).prop_map(|(kept, gone)| LineEdit::Fuse(kept, gone)),
+        2 => (index(), index()).prop_map(|(surviving, absorbed)| LineEdit::Fuse(surviving, absorbed)),
         1 => (index(), [vector(), vector()]).prop_map(|(line, ends)| LineEdit::Move(line, ends)),
         3 => (index(), proptest::option::of(index()))
             .prop_map(|(line, primitive)| LineEdit::Assign(line, primitive)),
@@ -41,7 +41,7 @@ impl LineEdit {
             Self::Add { ends, created_by, seen } => {
                 let created_by = keyframe_id(map, *created_by);
                 let submap = map.keyframe(created_by).map_or(SubmapId(0), |keyframe| keyframe.submap);
-                let seen = sightings(map, submap, seen);
+                let seen = visibility(map, submap, seen);
                 if let Some(place) = place(ends) {
                     map.add_line(&place, created_by, &seen);
                 }
@@ -49,7 +49,7 @@ impl LineEdit {
             Self::Observe(line, keyframe, feature_idx) => {
                 let line = line_id(map, *line);
                 let submap = map.line(line).map_or(SubmapId(0), |line| line.submap);
-                for seen in sightings(map, submap, &[(*keyframe, *feature_idx)]) {
+                for seen in visibility(map, submap, &[(*keyframe, *feature_idx)]) {
                     map.add_line_observation(line, seen);
                 }
             }
@@ -57,10 +57,14 @@ impl LineEdit {
                 map.remove_line_observation(line_id(map, *line), keyframe_id(map, *keyframe));
             }
             Self::Remove(line) => map.remove_line(line_id(map, *line)),
-            Self::Fuse(kept, gone) => {
-                let (kept, gone) = (line_id(map, *kept), line_id(map, *gone));
-                if map.line(kept).zip(map.line(gone)).is_none_or(|(kept, gone)| kept.submap == gone.submap) {
-                    map.fuse_lines(kept, gone);
+            Self::Fuse(surviving, absorbed) => {
+                let (surviving, absorbed) = (line_id(map, *surviving), line_id(map, *absorbed));
+                if map
+                    .line(surviving)
+                    .zip(map.line(absorbed))
+                    .is_none_or(|(surviving, absorbed)| surviving.submap == absorbed.submap)
+                {
+                    map.fuse_lines(surviving, absorbed);
                 }
             }
             Self::Move(line, ends) => {
@@ -70,7 +74,7 @@ impl LineEdit {
             }
             Self::Assign(line, primitive) => assign(map, line_id(map, *line), *primitive),
             Self::Refresh(line) => map.refresh_line(line_id(map, *line)),
-            Self::Count(line, n) => map.count_line_sightings(line_id(map, *line), *n, 1),
+            Self::Count(line, n) => map.count_line_visibility(line_id(map, *line), *n, 1),
         }
     }
 }

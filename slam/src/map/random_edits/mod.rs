@@ -1,7 +1,7 @@
 //! Maps edited at random: after every edit the map is consistent, and the changes it hands out say all of it.
 //!
 //! An [`Edit`] is one call of a map's own methods with arguments as wild as a caller may give them: landmarks
-//! and key frames that have gone or never were, keypoints that do not exist, numbers that are not finite.
+//! and keyframes that have gone or never were, keypoints that do not exist, numbers that are not finite.
 //! What a map asks of its callers, and is therefore kept here: what sees, moves or joins one another is of
 //! one submap.
 
@@ -171,8 +171,8 @@ fn primitive_id(map: &Map, index: Index) -> PrimitiveId {
     PrimitiveId::from_index(index.index(map.last_ids().primitive as usize + 1))
 }
 
-/// Sightings by key frames of one submap.
-fn sightings(map: &Map, submap: SubmapId, seen: &[(Index, u32)]) -> Vec<Observation> {
+/// VisibilityCounts by keyframes of one submap.
+fn visibility(map: &Map, submap: SubmapId, seen: &[(Index, u32)]) -> Vec<Observation> {
     seen.iter()
         .map(|(keyframe, feature_idx)| Observation {
             keyframe: keyframe_id(map, *keyframe),

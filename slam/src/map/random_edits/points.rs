@@ -24,7 +24,7 @@ pub(super) fn edits() -> impl Strategy<Value = PointEdit> {
             .prop_map(|(point, keyframe, feature_idx)| PointEdit::Observe(point, keyframe, feature_idx)),
         1 => (index(), index()).prop_map(|(point, keyframe)| PointEdit::Unobserve(point, keyframe)),
         1 => index().prop_map(PointEdit::Remove),
-        2 => (index(), index()).prop_map(|(kept, gone)| PointEdit::Fuse(kept, gone)),
+        2 => (index(), index()).prop_map(|(surviving, absorbed)| PointEdit::Fuse(surviving, absorbed)),
         1 => (index(), vector()).prop_map(|(point, position)| PointEdit::Move(point, position)),
         1 => index().prop_map(PointEdit::Refresh),
         1 => (index(), 0..3_u32).prop_map(|(point, n)| PointEdit::Count(point, n)),
@@ -37,12 +37,12 @@ impl PointEdit {
             Self::Add { position, created_by, seen } => {
                 let created_by = keyframe_id(map, *created_by);
                 let submap = map.keyframe(created_by).map_or(SubmapId(0), |keyframe| keyframe.submap);
-                map.add_point(*position, created_by, &sightings(map, submap, seen));
+                map.add_point(*position, created_by, &visibility(map, submap, seen));
             }
             Self::Observe(point, keyframe, feature_idx) => {
                 let point = point_id(map, *point);
                 let submap = map.point(point).map_or(SubmapId(0), |point| point.submap);
-                for seen in sightings(map, submap, &[(*keyframe, *feature_idx)]) {
+                for seen in visibility(map, submap, &[(*keyframe, *feature_idx)]) {
                     map.add_observation(point, seen);
                 }
             }
@@ -50,11 +50,14 @@ impl PointEdit {
                 map.remove_observation(point_id(map, *point), keyframe_id(map, *keyframe));
             }
             Self::Remove(point) => map.remove_point(point_id(map, *point)),
-            Self::Fuse(kept, gone) => {
-                let (kept, gone) = (point_id(map, *kept), point_id(map, *gone));
-                if map.point(kept).zip(map.point(gone)).is_none_or(|(kept, gone)| kept.submap == gone.submap)
+            Self::Fuse(surviving, absorbed) => {
+                let (surviving, absorbed) = (point_id(map, *surviving), point_id(map, *absorbed));
+                if map
+                    .point(surviving)
+                    .zip(map.point(absorbed))
+                    .is_none_or(|(surviving, absorbed)| surviving.submap == absorbed.submap)
                 {
-                    map.fuse_points(kept, gone);
+                    map.fuse_points(surviving, absorbed);
                 }
             }
             Self::Move(point, position) => {
@@ -62,7 +65,7 @@ impl PointEdit {
                 map.refresh_point_geometry(point_id(map, *point));
             }
             Self::Refresh(point) => map.refresh_point(point_id(map, *point)),
-            Self::Count(point, n) => map.count_sightings(point_id(map, *point), *n, 1),
+            Self::Count(point, n) => map.count_visibility(point_id(map, *point), *n, 1),
         }
     }
 }

@@ -27,7 +27,7 @@ pub(super) fn edits() -> impl Strategy<Value = PrimitiveEdit> {
         1 => (index(), index())
             .prop_map(|(primitive, keyframe)| PrimitiveEdit::Unobserve(primitive, keyframe)),
         1 => index().prop_map(PrimitiveEdit::Remove),
-        1 => (index(), index()).prop_map(|(kept, gone)| PrimitiveEdit::Fuse(kept, gone)),
+        1 => (index(), index()).prop_map(|(surviving, absorbed)| PrimitiveEdit::Fuse(surviving, absorbed)),
         1 => (index(), vector(), number())
             .prop_map(|(primitive, direction, variance)| PrimitiveEdit::Turn(primitive, direction, variance)),
     ]
@@ -67,11 +67,11 @@ impl PrimitiveEdit {
                 map.remove_primitive_observation(primitive_id(map, *primitive), keyframe_id(map, *keyframe));
             }
             Self::Remove(primitive) => map.remove_primitive(primitive_id(map, *primitive)),
-            Self::Fuse(kept, gone) => {
-                let (kept, gone) = (primitive_id(map, *kept), primitive_id(map, *gone));
-                let both = map.primitive(kept).zip(map.primitive(gone));
-                if both.is_none_or(|(kept, gone)| kept.submap == gone.submap) {
-                    map.fuse_primitives(kept, gone);
+            Self::Fuse(surviving, absorbed) => {
+                let (surviving, absorbed) = (primitive_id(map, *surviving), primitive_id(map, *absorbed));
+                let both = map.primitive(surviving).zip(map.primitive(absorbed));
+                if both.is_none_or(|(surviving, absorbed)| surviving.submap == absorbed.submap) {
+                    map.fuse_primitives(surviving, absorbed);
                 }
             }
             Self::Turn(primitive, direction, variance) => {

@@ -3,7 +3,7 @@
 use super::*;
 use geometry::Pose;
 
-/// The rows of a map. Key frames are kept by what of them can change.
+/// The rows of a map. Keyframes are kept by what of them can change.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Rows {
     keyframes: BTreeMap<KeyframeId, KeyframeRow>,
@@ -18,7 +18,7 @@ pub(super) struct Rows {
 struct KeyframeRow {
     submap: SubmapId,
     camera_from_world: Pose,
-    unit: f64,
+    local_scale: f64,
     parent: Option<KeyframeId>,
     points: Vec<Option<PointId>>,
     lines: Vec<Option<LineId>>,
@@ -69,7 +69,7 @@ impl KeyframeRow {
         Self {
             submap: keyframe.submap,
             camera_from_world: keyframe.camera_from_world,
-            unit: keyframe.unit,
+            local_scale: keyframe.local_scale,
             parent: keyframe.parent,
             points: keyframe.points.clone(),
             lines: keyframe.lines.clone(),

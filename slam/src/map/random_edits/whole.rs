@@ -6,7 +6,7 @@ use geometry::nalgebra::UnitQuaternion;
 
 #[derive(Clone, Debug)]
 pub(super) enum WholeEdit {
-    /// As a loop does: some of the key frames of a submap, then its landmarks.
+    /// As a loop does: some of the keyframes of a submap, then its landmarks.
     Correct {
         submap: u32,
         every: usize,
@@ -26,8 +26,8 @@ pub(super) enum WholeEdit {
     },
     Recalibrate {
         focal: f64,
-        centre_x: f64,
-        centre_y: f64,
+        center_x: f64,
+        center_y: f64,
     },
 }
 
@@ -50,10 +50,10 @@ pub(super) fn edits() -> impl Strategy<Value = WholeEdit> {
             parent
         }),
         submap().prop_map(|submap| WholeEdit::Discard { submap }),
-        [number(), number(), number()].prop_map(|[focal, centre_x, centre_y]| WholeEdit::Recalibrate {
+        [number(), number(), number()].prop_map(|[focal, center_x, center_y]| WholeEdit::Recalibrate {
             focal: 0.2 * focal,
-            centre_x: 0.1 * centre_x,
-            centre_y: 0.1 * centre_y,
+            center_x: 0.1 * center_x,
+            center_y: 0.1 * center_y,
         }),
     ]
 }
@@ -70,10 +70,10 @@ impl WholeEdit {
                 merge(map, SubmapId(*gone), SubmapId(*kept), *root, *parent);
             }
             Self::Discard { submap } => map.remove_submap(SubmapId(*submap)),
-            Self::Recalibrate { focal, centre_x, centre_y } => map.set_correction(PinholeCorrection {
+            Self::Recalibrate { focal, center_x, center_y } => map.set_correction(PinholeCorrection {
                 focal: *focal,
-                centre_x: *centre_x,
-                centre_y: *centre_y,
+                center_x: *center_x,
+                center_y: *center_y,
             }),
         }
     }

@@ -1,11 +1,11 @@
-//! Lines of the map: made of tracked segments, verified, joined and culled, key frame by key frame.
+//! Lines of the map: made of tracked segments, verified, joined and culled, keyframe by keyframe.
 //! [method: Line landmarks]
 
 mod fusion;
 mod triangulation;
 mod verification;
 
-use verification::{Verdict, judge};
+use verification::{ViewCheck, judge};
 
 use crate::config::SlamConfig;
 use crate::landmarks::TrackView;
@@ -17,10 +17,10 @@ use std::collections::BTreeMap;
 const MIN_OBSERVATIONS: usize = 3;
 /// Views of a track that are looked at: the newest say the most, and pairs grow with the square.
 const MAX_TRACK_VIEWS: usize = 20;
-/// A track not seen for this many key frames has ended.
+/// A track not seen for this many keyframes has ended.
 const MAX_TRACK_AGE: u64 = 5;
 
-/// Follows the tracks of segments through the key frames and makes lines of them.
+/// Follows the tracks of segments through the keyframes and makes lines of them.
 #[derive(Debug, Default)]
 pub(super) struct LineMapper {
     /// Where each live track was seen, oldest first.
@@ -32,7 +32,7 @@ pub(super) struct LineMapper {
 }
 
 impl LineMapper {
-    /// Takes in the segments of a key frame that is in the map: culls young lines, makes new ones, joins the
+    /// Takes in the segments of a keyframe that is in the map: culls young lines, makes new ones, joins the
     /// same.
     pub fn extend(&mut self, map: &mut Map, id: KeyframeId, config: &SlamConfig) {
         self.cull_recent(map, id, config);
@@ -40,7 +40,7 @@ impl LineMapper {
         for track in tracks_without_line(map, id) {
             self.extend_track(map, id, track, config);
         }
-        fusion::fuse_with_neighbours(map, id, config);
+        fusion::fuse_with_neighbors(map, id, config);
     }
 
     /// What became of the candidates since this was last called.
@@ -79,10 +79,9 @@ impl LineMapper {
             map.keyframe(seen.keyframe).and_then(|seen_in| seen_in.lines[seen.feature_idx as usize])
         });
         if let Some(line_id) = known {
-            let agrees = map
-                .line(line_id)
-                .zip(TrackView::of(map, *newest))
-                .is_some_and(|(line, view)| judge(&line.endpoints, &view, &config.lines) == Verdict::Passed);
+            let agrees = map.line(line_id).zip(TrackView::of(map, *newest)).is_some_and(|(line, view)| {
+                judge(&line.endpoints, &view, &config.lines) == ViewCheck::Passed
+            });
             if agrees {
                 map.add_line_observation(line_id, *newest);
             }
@@ -104,7 +103,7 @@ impl LineMapper {
         }
     }
 
-    /// Judges young lines: out if rarely found, or not seen by three key frames soon enough.
+    /// Judges young lines: out if rarely found, or not seen by three keyframes soon enough.
     fn cull_recent(&mut self, map: &mut Map, newest: KeyframeId, config: &SlamConfig) {
         self.recent.retain(|id| {
             let Some(line) = map.line(*id) else { return false };
@@ -121,7 +120,7 @@ impl LineMapper {
     }
 }
 
-/// The tracks of a key frame's segments that see no line yet.
+/// The tracks of a keyframe's segments that see no line yet.
 fn tracks_without_line(map: &Map, id: KeyframeId) -> Vec<u64> {
     let Some(keyframe) = map.keyframe(id) else { return Vec::new() };
     let segments = keyframe.features.lines.iter().zip(&keyframe.lines);

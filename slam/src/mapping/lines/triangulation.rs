@@ -127,10 +127,10 @@ fn depth_sigma_share(
     pixel: &Vector2<f64>,
 ) -> Option<f64> {
     let ray = view.camera_from_world.rotation.inverse() * view.pinhole.bearing(pixel);
-    let centre = view.camera_from_world.centre();
+    let center = view.camera_from_world.center();
     let distance = |line: &OrthonormalLine| {
         let line = anchored.line_in_world(line)?;
-        Some((line.at(line.parameter_nearest_to_ray(&centre, &ray)?) - centre).dot(&ray))
+        Some((line.at(line.parameter_nearest_to_ray(&center, &ray)?) - center).dot(&ray))
     };
     let at = distance(line)?;
     let mut gradient = Vector4::zeros();

@@ -10,7 +10,7 @@ use geometry::nalgebra::{Vector2, Vector3};
 
 /// What a test says of one view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Verdict {
+pub(crate) enum ViewCheck {
     Passed,
     Reprojection,
     Sensitivity,
@@ -33,19 +33,20 @@ pub(super) fn verify(
             let comparison = Comparison::of(endpoints, view);
             (
                 view.seen,
-                comparison.as_ref().map_or(Verdict::Reprojection, |it| it.verdict(config)),
+                comparison.as_ref().map_or(ViewCheck::Reprojection, |it| it.verdict(config)),
                 comparison,
             )
         })
         .collect();
-    let n_without = |tests: &[Verdict]| compared.iter().filter(|(_, test, _)| !tests.contains(test)).count();
-    if n_without(&[Verdict::Reprojection]) < config.min_views {
+    let n_without =
+        |tests: &[ViewCheck]| compared.iter().filter(|(_, test, _)| !tests.contains(test)).count();
+    if n_without(&[ViewCheck::Reprojection]) < config.min_views {
         return Err(LineVerdict::Reprojection);
     }
-    if n_without(&[Verdict::Reprojection, Verdict::Sensitivity]) < config.min_views {
+    if n_without(&[ViewCheck::Reprojection, ViewCheck::Sensitivity]) < config.min_views {
         return Err(LineVerdict::Sensitivity);
     }
-    let passed = || compared.iter().filter(|(_, verdict, _)| *verdict == Verdict::Passed);
+    let passed = || compared.iter().filter(|(_, verdict, _)| *verdict == ViewCheck::Passed);
     let covers = |comparison: &Comparison| comparison.covered_share() >= config.min_covered;
     if passed().filter(|(.., comparison)| comparison.as_ref().is_some_and(covers)).count()
         < MIN_COVERING_VIEWS
@@ -56,8 +57,8 @@ pub(super) fn verify(
 }
 
 /// Tests a line, given by its ends, against a segment that should see it.
-pub(crate) fn judge(endpoints: &[Vector3<f64>; 2], view: &TrackView, config: &LineConfig) -> Verdict {
-    Comparison::of(endpoints, view).map_or(Verdict::Reprojection, |comparison| comparison.verdict(config))
+pub(crate) fn judge(endpoints: &[Vector3<f64>; 2], view: &TrackView, config: &LineConfig) -> ViewCheck {
+    Comparison::of(endpoints, view).map_or(ViewCheck::Reprojection, |comparison| comparison.verdict(config))
 }
 
 /// A segment beside the projection of a line that it should see, where the image can show both: most edges go
@@ -100,19 +101,19 @@ impl Comparison {
         })
     }
 
-    fn verdict(&self, config: &LineConfig) -> Verdict {
+    fn verdict(&self, config: &LineConfig) -> ViewCheck {
         let max_midpoint_distance =
             config.max_midpoint_distance * 0.5 * (self.projected_length + self.length);
         if self.end_distance > config.max_end_distance_px || self.midpoint_distance > max_midpoint_distance {
-            return Verdict::Reprojection;
+            return ViewCheck::Reprojection;
         }
         if self.ray_cosine > config.max_sensitivity_deg.to_radians().sin() {
-            return Verdict::Sensitivity;
+            return ViewCheck::Sensitivity;
         }
         if self.common_length >= config.min_overlap * self.length.min(self.projected_length) {
-            Verdict::Passed
+            ViewCheck::Passed
         } else {
-            Verdict::Overlap
+            ViewCheck::Overlap
         }
     }
 

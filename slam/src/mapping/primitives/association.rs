@@ -7,7 +7,7 @@ use crate::map::{GlobalPrimitive, Keyframe, KeyframeId, Map, PrimitiveId, Primit
 use geometry::Direction;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Gives the key frame's vanishing points the primitives they show: by the lines they share, then by angle,
+/// Gives the keyframe's vanishing points the primitives they show: by the lines they share, then by angle,
 /// one to one.
 pub(super) fn associate(map: &mut Map, id: KeyframeId, config: &PrimitiveConfig) {
     let Some(keyframe) = map.keyframe(id) else { return };
@@ -71,7 +71,7 @@ fn clear_best(ranked: &[(f64, PrimitiveId)], min_runner_up_ratio: f64) -> Option
     (best.0 <= 1.0 && is_clear).then_some(*best)
 }
 
-/// Makes a primitive of a vanishing point that enough key frames show and no primitive explains.
+/// Makes a primitive of a vanishing point that enough keyframes show and no primitive explains.
 pub(super) fn create(map: &mut Map, id: KeyframeId, config: &PrimitiveConfig) {
     let n_vanishing = map.keyframe(id).map_or(0, |keyframe| keyframe.vanishing.len());
     for vanishing_idx in 0..n_vanishing as u32 {
@@ -86,7 +86,7 @@ pub(super) fn create(map: &mut Map, id: KeyframeId, config: &PrimitiveConfig) {
     }
 }
 
-/// The unexplained vanishing points of other key frames that agree with this one, and itself; `None` if they
+/// The unexplained vanishing points of other keyframes that agree with this one, and itself; `None` if they
 /// are too few, have too few segments, or a primitive is near by already.
 fn sharing_keyframes(
     map: &Map,

@@ -1,4 +1,4 @@
-//! Global primitives: vanishing directions of key frames, fused over all that share them.
+//! Global primitives: vanishing directions of keyframes, fused over all that share them.
 //! [method: Global primitives]
 
 mod association;
@@ -8,7 +8,7 @@ use crate::config::{ConfigError, SlamConfig};
 use crate::map::{KeyframeId, Map};
 use crate::vanishing::VanishingFinder;
 
-/// Finds vanishing points in key frames and makes and tends the primitives of a map.
+/// Finds vanishing points in keyframes and makes and tends the primitives of a map.
 pub(super) struct PrimitiveMapper {
     finder: VanishingFinder,
 }
@@ -20,8 +20,8 @@ impl PrimitiveMapper {
         Ok(Self { finder: VanishingFinder::new(&config.primitives, config.seed)? })
     }
 
-    /// Takes in the segments of a key frame that is in the map: finds its vanishing points, says which
-    /// primitives they are, makes new ones of those that enough key frames share, joins and retires.
+    /// Takes in the segments of a keyframe that is in the map: finds its vanishing points, says which
+    /// primitives they are, makes new ones of those that enough keyframes share, joins and retires.
     pub fn extend(&mut self, map: &mut Map, id: KeyframeId, config: &SlamConfig) {
         self.find(map, id);
         association::associate(map, id, &config.primitives);

@@ -5,8 +5,8 @@ use crate::landmarks::estimate_direction;
 use crate::map::{GlobalPrimitive, Keyframe, KeyframeId, LineId, Map, PrimitiveId};
 use std::collections::BTreeMap;
 
-/// Joins primitives that are the same: close, and never two vanishing points of one key frame. Also finds the
-/// directions of those the key frame shows again.
+/// Joins primitives that are the same: close, and never two vanishing points of one keyframe. Also finds the
+/// directions of those the keyframe shows again.
 pub(super) fn merge(map: &mut Map, id: KeyframeId, config: &PrimitiveConfig) {
     for primitive in primitives_of(map, id) {
         refresh_direction(map, primitive);
@@ -34,7 +34,7 @@ fn are_same(a: &GlobalPrimitive, b: &GlobalPrimitive, config: &PrimitiveConfig) 
         && b.observations.iter().all(|seen| a.observation_in(seen.keyframe).is_none())
 }
 
-/// Drops primitives that few key frames showed and none has for long.
+/// Drops primitives that few keyframes showed and none has for long.
 pub(super) fn retire(map: &mut Map, newest: KeyframeId, config: &PrimitiveConfig) {
     let is_forgotten = |primitive: &GlobalPrimitive| {
         let last = primitive.observations.last().map_or(primitive.created_by, |seen| seen.keyframe);
@@ -46,7 +46,7 @@ pub(super) fn retire(map: &mut Map, newest: KeyframeId, config: &PrimitiveConfig
     forgotten.into_iter().for_each(|id| map.remove_primitive(id));
 }
 
-/// Says which lines of the key frame have the direction of a primitive: those that most of their segments
+/// Says which lines of the keyframe have the direction of a primitive: those that most of their segments
 /// vote for and that agree in space.
 pub(super) fn vote_for_lines(map: &mut Map, id: KeyframeId, config: &PrimitiveConfig) {
     let lines: Vec<LineId> =

@@ -1,6 +1,6 @@
 //! Alignment in one resolution, by inverse composition: derivatives are taken in the first image, once.
 
-use super::pyramid::{GRADIENT_REACH_PX, gradient, grey_level};
+use super::pyramid::{GRADIENT_REACH_PX, gradient, gray_level};
 use crate::config::AlignmentConfig;
 use geometry::nalgebra::{SMatrix, SVector, Vector2, Vector3};
 use geometry::{Camera, Pose};
@@ -20,7 +20,7 @@ const MIN_VISIBLE_SHARE: f64 = 0.4;
 const CONTRAST_SIGMA: f64 = 0.2;
 /// Contrasts between two images of one camera, a moment apart, that are believed.
 const CONTRASTS: std::ops::Range<f64> = 0.4..2.5;
-/// Least variance of the grey levels compared: below there is nothing but noise.
+/// Least variance of the gray levels compared: below there is nothing but noise.
 const MIN_VARIANCE: f64 = 1.0;
 
 type Unknowns = SVector<f64, N_UNKNOWNS>;
@@ -30,9 +30,9 @@ type Information = SMatrix<f64, N_UNKNOWNS, N_UNKNOWNS>;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
     pub second_from_first: Pose,
-    /// Grey levels of the second image per grey level of the first.
+    /// Gray levels of the second image per gray level of the first.
     pub contrast: f64,
-    /// What is added, grey levels.
+    /// What is added, gray levels.
     pub brightness: f64,
 }
 
@@ -45,7 +45,7 @@ impl Motion {
 /// A patch of the first image with its derivatives.
 struct Prepared {
     position: Vector3<f64>,
-    grey_levels: [f64; N_PIXELS],
+    gray_levels: [f64; N_PIXELS],
     /// By a twist of the first camera's frame.
     derivatives: [SVector<f64, 6>; N_PIXELS],
 }
@@ -80,7 +80,7 @@ impl LevelPatches {
         let (mut sum, mut n_visible) = (0.0, 0);
         for residuals in self.0.iter().filter_map(|patch| patch.residuals(onto, motion)) {
             sum +=
-                residuals.iter().map(|residual| huber_cost(*residual, config.huber_grey_levels)).sum::<f64>();
+                residuals.iter().map(|residual| huber_cost(*residual, config.huber_gray_levels)).sum::<f64>();
             n_visible += 1;
         }
         self.is_comparable(n_visible).then(|| sum / (n_visible * N_PIXELS) as f64)
@@ -99,7 +99,7 @@ impl LevelPatches {
             let Some(residuals) = patch.residuals(onto, &unchanged) else { continue };
             n_visible += 1;
             for (first, second) in
-                patch.grey_levels.iter().zip(&residuals).map(|(first, residual)| (first, first + residual))
+                patch.gray_levels.iter().zip(&residuals).map(|(first, residual)| (first, first + residual))
             {
                 sums = [sums[0] + first, sums[1] + second];
                 squares = [squares[0] + first * first, squares[1] + second * second];
@@ -146,18 +146,18 @@ impl LevelPatches {
         for patch in &self.0 {
             let Some(residuals) = patch.residuals(onto, motion) else { continue };
             depth += patch.position.z;
-            for ((residual, derivative), grey) in
-                residuals.iter().zip(&patch.derivatives).zip(&patch.grey_levels)
+            for ((residual, derivative), gray) in
+                residuals.iter().zip(&patch.derivatives).zip(&patch.gray_levels)
             {
-                let weight = (config.huber_grey_levels / residual.abs().max(1e-9)).min(1.0);
+                let weight = (config.huber_gray_levels / residual.abs().max(1e-9)).min(1.0);
                 let mut row = Unknowns::zeros();
                 row.fixed_rows_mut::<6>(0).copy_from(&(derivative * -motion.contrast));
-                (row[6], row[7]) = (-grey, -1.0);
+                (row[6], row[7]) = (-gray, -1.0);
                 information += row * row.transpose() * weight;
                 gradient += row * (weight * residual);
             }
         }
-        let prior = (config.huber_grey_levels / CONTRAST_SIGMA).powi(2);
+        let prior = (config.huber_gray_levels / CONTRAST_SIGMA).powi(2);
         information[(6, 6)] += prior;
         gradient[6] += prior * (motion.contrast - 1.0);
         let step = -information.cholesky()?.solve(&gradient);
@@ -193,23 +193,23 @@ impl LevelPatches {
 }
 
 impl Prepared {
-    /// Grey levels of the second image less those expected. `None` if the patch is not in the image.
+    /// Gray levels of the second image less those expected. `None` if the patch is not in the image.
     fn residuals(&self, (image, camera): (&GrayImage, &Camera), motion: &Motion) -> Option<[f64; N_PIXELS]> {
         let middle = camera.project(&motion.second_from_first.transform(&self.position))?;
         let mut residuals = [0.0; N_PIXELS];
-        for ((residual, offset), grey) in residuals.iter_mut().zip(offsets()).zip(&self.grey_levels) {
-            let seen = grey_level(image, &(middle + offset))?;
-            *residual = seen - (motion.contrast * grey + motion.brightness);
+        for ((residual, offset), gray) in residuals.iter_mut().zip(offsets()).zip(&self.gray_levels) {
+            let seen = gray_level(image, &(middle + offset))?;
+            *residual = seen - (motion.contrast * gray + motion.brightness);
         }
         Some(residuals)
     }
 }
 
-/// Whether grey levels and gradients of all pixels of the patch can be had.
+/// Whether gray levels and gradients of all pixels of the patch can be had.
 fn is_inside(image: &GrayImage, camera: &Camera, position: &Vector3<f64>) -> bool {
     let reach = Vector2::repeat(OFFSETS[OFFSETS.len() - 1] + GRADIENT_REACH_PX);
     camera.project(position).is_some_and(|middle| {
-        [middle - reach, middle + reach].iter().all(|corner| grey_level(image, corner).is_some())
+        [middle - reach, middle + reach].iter().all(|corner| gray_level(image, corner).is_some())
     })
 }
 
@@ -220,12 +220,12 @@ fn prepare(image: &GrayImage, camera: &Camera, position: &Vector3<f64>) -> Optio
     point_by_twist.fixed_view_mut::<3, 3>(0, 0).copy_from(&(-position.cross_matrix()));
     point_by_twist.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
     let pixel_by_twist = pixel_by_point * point_by_twist;
-    let (mut grey_levels, mut derivatives) = ([0.0; N_PIXELS], [SVector::zeros(); N_PIXELS]);
-    for ((grey, derivative), offset) in grey_levels.iter_mut().zip(&mut derivatives).zip(offsets()) {
-        *grey = grey_level(image, &(middle + offset))?;
+    let (mut gray_levels, mut derivatives) = ([0.0; N_PIXELS], [SVector::zeros(); N_PIXELS]);
+    for ((gray, derivative), offset) in gray_levels.iter_mut().zip(&mut derivatives).zip(offsets()) {
+        *gray = gray_level(image, &(middle + offset))?;
         *derivative = pixel_by_twist.transpose() * gradient(image, &(middle + offset))?;
     }
-    Some(Prepared { position: *position, grey_levels, derivatives })
+    Some(Prepared { position: *position, gray_levels, derivatives })
 }
 
 fn offsets() -> impl Iterator<Item = Vector2<f64>> {

@@ -1,4 +1,4 @@
-//! Direct (photometric) alignment of two images by their grey levels alone: patches about known points and
+//! Direct (photometric) alignment of two images by their gray levels alone: patches about known points and
 //! along known lines of the first are found again in the second, all at once, as one rigid scene.
 //! [method: Direct alignment]
 //!

@@ -52,8 +52,8 @@ fn halved(image: &GrayImage) -> GrayImage {
     half
 }
 
-/// Grey level between pixels. `None` within a pixel of the edge.
-pub(super) fn grey_level(image: &GrayImage, pixel: &Vector2<f64>) -> Option<f64> {
+/// Gray level between pixels. `None` within a pixel of the edge.
+pub(super) fn gray_level(image: &GrayImage, pixel: &Vector2<f64>) -> Option<f64> {
     let (left, top) = (pixel.x.floor(), pixel.y.floor());
     let is_inside = left >= 1.0
         && top >= 1.0
@@ -72,9 +72,9 @@ pub(super) fn grey_level(image: &GrayImage, pixel: &Vector2<f64>) -> Option<f64>
 /// How far from a pixel its gradient is taken.
 pub(super) const GRADIENT_REACH_PX: f64 = 0.5;
 
-/// Change of the grey level per pixel, to the right and down.
+/// Change of the gray level per pixel, to the right and down.
 pub(super) fn gradient(image: &GrayImage, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
-    let at = |x: f64, y: f64| grey_level(image, &(pixel + Vector2::new(x, y)));
+    let at = |x: f64, y: f64| gray_level(image, &(pixel + Vector2::new(x, y)));
     const REACH: f64 = GRADIENT_REACH_PX;
     let change = Vector2::new(at(REACH, 0.0)? - at(-REACH, 0.0)?, at(0.0, REACH)? - at(0.0, -REACH)?);
     Some(change / (2.0 * REACH))

@@ -37,8 +37,8 @@ fn view(camera: &Camera, camera_from_world: &Pose, contrast: f64, brightness: f6
     let world_from_camera = camera_from_world.inverse();
     let image = GrayImage::from_fn(camera.width(), camera.height(), |x, y| {
         let ray = camera.unproject(&Vector2::new(f64::from(x), f64::from(y))).unwrap();
-        let (centre, ray) = (world_from_camera.translation, world_from_camera.rotation * ray);
-        let hit = centre + ray * ((DEPTH - centre.z) / ray.z);
+        let (center, ray) = (world_from_camera.translation, world_from_camera.rotation * ray);
+        let hit = center + ray * ((DEPTH - center.z) / ray.z);
         (contrast * pattern(hit.x, hit.y) + brightness).clamp(0.0, 255.0) as u8
     });
     Arc::new(image)
@@ -102,7 +102,7 @@ fn does_not_find_what_is_not_there() {
         let found = aligner.align(&first, &second, &positions(&camera), &Pose::identity());
         assert!(found.is_none(), "{name}: {found:?}");
     }
-    // A grey image has nothing to be found in, and nothing to align.
+    // A gray image has nothing to be found in, and nothing to align.
     for (first, second, positions) in [
         (&plain, &first, positions(&camera)),
         (&first, &plain, positions(&camera)),

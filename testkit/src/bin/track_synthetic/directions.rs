@@ -8,7 +8,7 @@ use slam::map::{Keyframe, VanishingObservation};
 use std::collections::BTreeMap;
 use testkit::laboratory::summary;
 
-/// How the primitives and the vanishing points of the key frames lie to the true directions.
+/// How the primitives and the vanishing points of the keyframes lie to the true directions.
 pub fn print_primitives(map: &Map, recording: &Recording) {
     let truths = recording.world().vanishing_directions();
     let nearest = |direction: &Vector3<f64>| {
@@ -20,7 +20,7 @@ pub fn print_primitives(map: &Map, recording: &Recording) {
     };
     let truth = |keyframe: &Keyframe| recording.camera_from_world(keyframe.sequence as usize).rotation;
     for primitive in map.primitives() {
-        // Per sighting: the primitive in the true world by the attitude the key frame has and should have.
+        // Per sighting: the primitive in the true world by the attitude the keyframe has and should have.
         let errors: Vec<(f64, usize)> = primitive
             .observations
             .iter()
@@ -39,7 +39,7 @@ pub fn print_primitives(map: &Map, recording: &Recording) {
             })
             .sum();
         println!(
-            "primitive {}: {} key frames {:?}-{:?}, {n_segments} segments, {} lines, true direction {:?}, off by {}",
+            "primitive {}: {} keyframes {:?}-{:?}, {n_segments} segments, {} lines, true direction {:?}, off by {}",
             primitive.id,
             primitive.observations.len(),
             first.map(|seen| seen.keyframe.get()),

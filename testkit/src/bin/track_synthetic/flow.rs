@@ -1,6 +1,6 @@
 //! Whether sightings move through the images as they truly should.
 //!
-//! What hands the scale of a map on are landmarks that move through the image as the camera does. Sightings
+//! What hands the scale of a map on are landmarks that move through the image as the camera does. VisibilityCounts
 //! that run ahead of that motion, or lag behind it, by a thousandth make every step too long or too short by
 //! as much.
 
@@ -15,7 +15,7 @@ use synthetic::VisibleSegment;
 /// A segment is of an edge no farther than this and turned no more than this against it.
 const MAX_DISTANCE_PX: f64 = 1.5;
 const MAX_ANGLE_DEG: f64 = 3.0;
-/// Edges of less contrast than this, grey levels, are hidden in the noise.
+/// Edges of less contrast than this, gray levels, are hidden in the noise.
 const MIN_CONTRAST: f64 = 4.0;
 /// Least share of a line's sightings that must be of the same edge.
 const MIN_SHARE: f64 = 0.7;
@@ -69,7 +69,7 @@ fn print_ratio(name: &str, motions: impl Iterator<Item = Motion>) {
     );
 }
 
-fn sightings<'a>(
+fn observations<'a>(
     map: &'a Map,
     observations: &'a [Observation],
 ) -> impl Iterator<Item = (&'a Keyframe, usize)> {
@@ -80,7 +80,7 @@ fn true_pose(recording: &Recording, keyframe: &Keyframe) -> Pose {
     recording.camera_from_world(keyframe.sequence as usize)
 }
 
-/// Where a key frame sees a place, and where it would if its camera had only turned since `first`.
+/// Where a keyframe sees a place, and where it would if its camera had only turned since `first`.
 fn seen_and_turned(
     recording: &Recording,
     keyframe: &Keyframe,
@@ -95,7 +95,7 @@ fn seen_and_turned(
 /// Of the points that lie on a surface, or of those that do not: beside an edge of depth a keypoint is where
 /// two things cross in the image as often as it is a place, and the ray may meet either.
 fn motions_of_point(map: &Map, recording: &Recording, point: &PointLandmark, is_flat: bool) -> Vec<Motion> {
-    let mut seen = sightings(map, &point.observations);
+    let mut seen = observations(map, &point.observations);
     let Some((first, idx)) = seen.next() else { return Vec::new() };
     let bearing = first.features.pinhole.bearing(&first.features.undistorted[idx]);
     let Some(place) = recording.cast(first.sequence as usize, &bearing) else { return Vec::new() };
@@ -139,7 +139,7 @@ fn motions_of_line(
     line: &LineLandmark,
 ) -> Option<Vec<Motion>> {
     let mut votes: BTreeMap<usize, usize> = BTreeMap::new();
-    for (keyframe, idx) in sightings(map, &line.observations) {
+    for (keyframe, idx) in observations(map, &line.observations) {
         let edge = edge_of(&edges[&keyframe.sequence], recording, keyframe, idx);
         edge.into_iter().for_each(|edge| *votes.entry(edge).or_default() += 1);
     }
@@ -149,12 +149,12 @@ fn motions_of_line(
     }
     let edge = &recording.world().segments()[edge];
     // The place on the edge that the first sighting's middle shows.
-    let (first, idx) = sightings(map, &line.observations).next()?;
+    let (first, idx) = observations(map, &line.observations).next()?;
     let middle = (first.features.lines[idx].start + first.features.lines[idx].end) / 2.0;
     let bearing = first.features.pinhole.bearing(&middle);
     let first = true_pose(recording, first);
     let bearing = first.rotation.inverse() * bearing;
-    let place = nearest_to_ray(&edge.start, &(edge.end - edge.start), &first.centre(), &bearing)?;
+    let place = nearest_to_ray(&edge.start, &(edge.end - edge.start), &first.center(), &bearing)?;
     let motion = |(keyframe, idx): (&Keyframe, usize)| {
         let segment = &keyframe.features.lines[idx];
         let [here, turned] = seen_and_turned(recording, keyframe, &first, &place);
@@ -168,19 +168,19 @@ fn motions_of_line(
         let sigma_px = segment.sigma_px;
         is_same.then(|| Motion { true_px: moved.abs(), ahead_px: moved.signum() * error, sigma_px })
     };
-    Some(sightings(map, &line.observations).filter_map(motion).collect())
+    Some(observations(map, &line.observations).filter_map(motion).collect())
 }
 
 /// The point of a line that comes nearest to a ray.
 fn nearest_to_ray(
     start: &Vector3<f64>,
     direction: &Vector3<f64>,
-    centre: &Vector3<f64>,
+    center: &Vector3<f64>,
     bearing: &Vector3<f64>,
 ) -> Option<Vector3<f64>> {
     let across = bearing.cross(&direction.cross(bearing));
     let slope = direction.dot(&across);
-    (slope.abs() > 1e-9).then(|| start + direction * ((centre - start).dot(&across) / slope))
+    (slope.abs() > 1e-9).then(|| start + direction * ((center - start).dot(&across) / slope))
 }
 
 /// The true edge that a segment is of.

@@ -12,14 +12,14 @@
 //! | `--engine-seed N` | the engine's random numbers; otherwise the sequence's seed |
 //! | `--no-loops`, `--no-lines`, `--no-primitives` | switches features off |
 //! | `--no-calibration` | takes the calibration as it is given |
-//! | `--focal-error SHARE`, `--centre-error SHARE` | gives a wrong calibration: the focal length too long, the principal point too far to the right, as shares of the focal length |
+//! | `--focal-error SHARE`, `--center-error SHARE` | gives a wrong calibration: the focal length too long, the principal point too far to the right, as shares of the focal length |
 //! | `--runs N` | every seed with so many of the engine's; the table shows the medians |
 //! | `--compare-primitives` | runs every seed without and with primitives, and prints a table of both |
 //! | `--segments` | only prints how far segments lie from the true edges |
 //! | `--directions` | prints primitives and their segments against the truth |
 //! | `--flow` | prints by how much sightings run ahead of their true motion, or lag behind it |
 //! | `--spans` | prints what the stages of local bundle adjustment take |
-//! | `--relocalise CONTRAST` | then looks for single frames of that contrast in the map |
+//! | `--relocalize CONTRAST` | then looks for single frames of that contrast in the map |
 //! | `--verbose` | a line a frame |
 //! | `--out FILE` | the trajectory as a TUM file |
 //! | `--truth FILE` | the true trajectory as a TUM file |
@@ -34,7 +34,7 @@ mod directions;
 mod flow;
 mod places;
 mod recording;
-mod relocalise;
+mod relocalize;
 mod revisit;
 mod run;
 mod score;
@@ -118,10 +118,10 @@ fn runs(
 /// The camera as the engine is told of it.
 fn given_camera(camera: &Camera, arguments: &Arguments) -> Result<Camera, Box<dyn Error>> {
     let share = |name: &str| arguments.value(name).map_or(Ok(0.0), |share| share.parse::<f64>());
-    let (focal, centre) = (share("--focal-error")?, share("--centre-error")?);
+    let (focal, center) = (share("--focal-error")?, share("--centre-error")?);
     let true_to = camera.parameters();
     let (fx, fy) = (true_to.fx * (1.0 + focal), true_to.fy * (1.0 + focal));
-    let cx = true_to.cx + true_to.fx * centre;
+    let cx = true_to.cx + true_to.fx * center;
     Ok(Camera::new(CameraParameters { fx, fy, cx, ..true_to.clone() })?)
 }
 
@@ -195,7 +195,7 @@ fn track(
         flow::print_flow(&map, &recording);
     }
     if let Some(contrast) = value("--relocalise") {
-        relocalise::print_relocalised(&map, &recording, &config, contrast.parse()?)?;
+        relocalize::print_relocalized(&map, &recording, &config, contrast.parse()?)?;
     }
     let largest = places.0.values().max_by_key(|places| places.len());
     let score = largest.and_then(|places| Score::of(places, &recording));
@@ -233,7 +233,7 @@ fn print_report(
     for event in &report.map_events {
         println!("frame {index}: {event:?}; {}", places::truth_of(event, &pipeline.map(), recording));
     }
-    if report.relocalised {
+    if report.relocalized {
         let truth = places::truth_of_place(report, &pipeline.map(), recording, index);
         println!("frame {index}: relocalised {truth}");
     }

@@ -8,19 +8,19 @@ const MIN_FRAMES_BETWEEN: usize = 600;
 /// Truly as near as this, and turned no more than this, two cameras see the same place.
 const MAX_DISTANCE: f64 = 1.0;
 const MAX_ANGLE_DEG: f64 = 15.0;
-/// Key frames that share points can be as far apart as this down a corridor; places that look alike are
+/// Keyframes that share points can be as far apart as this down a corridor; places that look alike are
 /// farther.
 const MAX_TIE_DISTANCE: f64 = 5.0;
-/// Points that two key frames must share to be tied.
+/// Points that two keyframes must share to be tied.
 const MIN_SHARED_POINTS: u32 = 15;
 
 /// A place seen again, by the numbers of the frames.
 pub struct Revisit {
     /// The first frame that truly shows a place left long before.
     pub shown: usize,
-    /// The first key frame, in the map as it is in the end, that shares points with one of the first visit.
+    /// The first keyframe, in the map as it is in the end, that shares points with one of the first visit.
     pub tied: Option<usize>,
-    /// Key frames that share points with one of long before and of another place.
+    /// Keyframes that share points with one of long before and of another place.
     pub n_false: usize,
 }
 
@@ -69,5 +69,5 @@ fn is_near(recording: &Recording, a: usize, b: usize) -> bool {
 }
 
 fn distance(recording: &Recording, a: usize, b: usize) -> f64 {
-    (recording.camera_from_world(a).centre() - recording.camera_from_world(b).centre()).norm()
+    (recording.camera_from_world(a).center() - recording.camera_from_world(b).center()).norm()
 }

@@ -10,7 +10,7 @@ use testkit::laboratory::summary;
 pub struct Run {
     pub records: BTreeMap<u64, FrameRecord>,
     states: BTreeMap<String, usize>,
-    n_relocalised: usize,
+    n_relocalized: usize,
     pub n_loops: usize,
     pub n_merges: usize,
     cpu_ms: Vec<f64>,
@@ -22,7 +22,7 @@ pub struct Run {
 impl Run {
     pub fn note(&mut self, report: &FrameReport) {
         *self.states.entry(format!("{:?}", report.outcome.state())).or_default() += 1;
-        self.n_relocalised += usize::from(report.relocalised);
+        self.n_relocalized += usize::from(report.relocalized);
         for event in &report.map_events {
             match event {
                 MapEvent::LoopClosed { .. } => self.n_loops += 1,
@@ -45,10 +45,10 @@ impl Run {
     pub fn print(mut self, map: &Map) {
         println!(
             "frames {:?} relocalised {} loops {} merges {}",
-            self.states, self.n_relocalised, self.n_loops, self.n_merges
+            self.states, self.n_relocalized, self.n_loops, self.n_merges
         );
         println!(
-            "map: key frames {} (made {}) points {} lines {} primitives {} submaps {:?}",
+            "map: keyframes {} (made {}) points {} lines {} primitives {} submaps {:?}",
             map.n_keyframes(),
             map.last_ids().keyframe,
             map.n_points(),

@@ -10,7 +10,7 @@ const EVERY: usize = 10;
 /// A segment is of an edge no farther than this and turned no more than this against it.
 const MAX_DISTANCE_PX: f64 = 1.5;
 const MAX_ANGLE_DEG: f64 = 3.0;
-/// Edges of less contrast than this, grey levels, are hidden in the noise.
+/// Edges of less contrast than this, gray levels, are hidden in the noise.
 const MIN_CONTRAST: f64 = 4.0;
 /// Bounds of the table's rows: distance of the next edge beside, pixels.
 const GAPS_PX: [f64; 8] = [0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, f64::INFINITY];

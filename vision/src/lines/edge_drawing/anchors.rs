@@ -2,7 +2,7 @@
 
 use crate::lines::gradient::{Gradients, UNITS_PER_LEVEL};
 
-/// An anchor's gradient exceeds those of its two neighbours across the edge by this in all, grey levels per
+/// An anchor's gradient exceeds those of its two neighbors across the edge by this in all, gray levels per
 /// pixel.
 const MIN_PROMINENCE: i16 = UNITS_PER_LEVEL as i16;
 /// Every so-many-th pixel along an edge may be an anchor; one is enough to find the edge.
@@ -55,7 +55,7 @@ impl Anchors {
         let n = gradients.width - 2;
         let at = y * gradients.width + 1;
         let around = |start: usize| &gradients.magnitude[start..][..n];
-        let (centre, left, right) = (around(at), around(at - 1), around(at + 1));
+        let (center, left, right) = (around(at), around(at - 1), around(at + 1));
         let (above, below) = (around(at - gradients.width), around(at + gradients.width));
         let (gx, gy) = (&gradients.x[at..][..n], &gradients.y[at..][..n]);
         let on_row = y.is_multiple_of(STEP);
@@ -63,11 +63,11 @@ impl Anchors {
         for (i, flag) in self.flags.iter_mut().enumerate() {
             let along_x = gy[i].abs() > gx[i].abs();
             let (before, after) = if along_x { (above[i], below[i]) } else { (left[i], right[i]) };
-            let (before, after) = (centre[i] - before, centre[i] - after);
+            let (before, after) = (center[i] - before, center[i] - after);
             // An edge half way between two pixels is equally strong on both.
             let is_peak = (before >= 0) & (after >= 0) & (before.saturating_add(after) >= MIN_PROMINENCE);
             let on_grid = if along_x { (i + 1).is_multiple_of(STEP) } else { on_row };
-            *flag = u8::from((centre[i] >= min_magnitude) & is_peak & on_grid);
+            *flag = u8::from((center[i] >= min_magnitude) & is_peak & on_grid);
         }
     }
 

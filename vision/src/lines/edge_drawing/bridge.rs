@@ -32,7 +32,7 @@ pub(super) struct Bridger {
 }
 
 /// Side of the grid's cells, pixels: as wide as the farthest start looked for, so that it is in a
-/// neighbouring cell.
+/// neighboring cell.
 const CELL_PX: f32 = 12.0;
 const NONE: u32 = u32::MAX;
 

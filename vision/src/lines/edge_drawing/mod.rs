@@ -38,7 +38,7 @@ pub(super) struct EdgeDrawing {
 }
 
 impl EdgeDrawing {
-    /// A detector that follows edges of at least `min_gradient` grey levels per pixel.
+    /// A detector that follows edges of at least `min_gradient` gray levels per pixel.
     pub fn new(min_gradient: f32) -> Self {
         Self {
             min_magnitude: (min_gradient * UNITS_PER_LEVEL) as i16,

@@ -96,9 +96,9 @@ pub(super) fn sub_pixel(gradients: &Gradients, chain: &[u32], points: &mut Vec<V
         let at = pixel as usize;
         let along_x = runs_along_x(gradients, at);
         let (field, stride) = if along_x { (&gradients.y, gradients.width) } else { (&gradients.x, 1) };
-        let [before, centre, after] =
+        let [before, center, after] =
             [at - stride, at, at + stride].map(|at| f32::from(field[at].saturating_abs()));
-        let curvature = before - 2.0 * centre + after;
+        let curvature = before - 2.0 * center + after;
         // A pixel beside the ridge may lie on the slope of the profile: it is at most a pixel off.
         let offset =
             if curvature < -1.0 { (0.5 * (before - after) / curvature).clamp(-1.0, 1.0) } else { 0.0 };

@@ -1,10 +1,10 @@
-//! Finding a path of grey levels again: the shift along the path, in pixels of the level.
+//! Finding a path of gray levels again: the shift along the path, in pixels of the level.
 
 use nalgebra::Vector2;
 
 use super::paths::{HALF_PATH, MAX_PATH, MAX_SEARCH, Paths};
 
-/// Grey levels of a path compared.
+/// Gray levels of a path compared.
 const PATH: usize = 2 * HALF_PATH + 1;
 /// Largest shift from the guess, pixels of the level.
 const MAX_SHIFT: usize = 3;
@@ -12,14 +12,14 @@ const MAX_SHIFT: usize = 3;
 const HALF_READ: usize = HALF_PATH + MAX_SHIFT + 1;
 const READ: usize = 2 * HALF_READ + 1;
 
-/// Weights of a path: Gaussian, sigma 2.5 pixels, so the edge itself counts most and its neighbours least.
+/// Weights of a path: Gaussian, sigma 2.5 pixels, so the edge itself counts most and its neighbors least.
 const WEIGHTS: [f32; PATH] =
     [0.1353, 0.2780, 0.4868, 0.7261, 0.9231, 1.0, 0.9231, 0.7261, 0.4868, 0.2780, 0.1353];
 const WEIGHT_SUM: f32 = 6.0986;
 /// Iterations end when the shift changes by less than this, pixels.
 const MIN_STEP: f32 = 0.01;
 const MAX_ITERATIONS: usize = 8;
-/// Least standard deviation of a weighted path, grey levels: below, there is no contrast to follow.
+/// Least standard deviation of a weighted path, gray levels: below, there is no contrast to follow.
 const MIN_CONTRAST: f32 = 2.0;
 
 /// Where a path was found.
@@ -107,20 +107,20 @@ fn align_profiles(from: &[f32; READ], from_shift: f32, to: &[f32; READ], guess: 
     let template = window(from, from_shift)?;
     let (before, after) = (window(from, from_shift - 0.5)?, window(from, from_shift + 0.5)?);
     let gradient: [f32; PATH] = std::array::from_fn(|i| after[i] - before[i]);
-    let gradient = centred(&gradient);
-    let template = centred(&template);
+    let gradient = centered(&gradient);
+    let template = centered(&template);
     let contrast = weighted_dot(&template, &template);
     let stiffness = weighted_dot(&gradient, &gradient);
     if !(contrast >= MIN_CONTRAST * MIN_CONTRAST * WEIGHT_SUM && stiffness > 0.0) {
         return None;
     }
     let mut shift = guess;
-    let mut found = centred(&window(to, shift)?);
+    let mut found = centered(&window(to, shift)?);
     for _ in 0..MAX_ITERATIONS {
         let residual: [f32; PATH] = std::array::from_fn(|i| found[i] - template[i]);
         let step = weighted_dot(&gradient, &residual) / stiffness;
         shift -= step.clamp(-1.0, 1.0);
-        found = centred(&window(to, shift)?);
+        found = centered(&window(to, shift)?);
         if step.abs() < MIN_STEP {
             break;
         }
@@ -145,7 +145,7 @@ fn window(read: &[f32; READ], offset: f32) -> Option<[f32; PATH]> {
 
 /// Less its weighted mean: what a change of brightness leaves.
 #[inline]
-fn centred(path: &[f32; PATH]) -> [f32; PATH] {
+fn centered(path: &[f32; PATH]) -> [f32; PATH] {
     let mean = path.iter().zip(&WEIGHTS).map(|(value, weight)| value * weight).sum::<f32>() / WEIGHT_SUM;
     path.map(|value| value - mean)
 }

@@ -1,6 +1,6 @@
 //! Where a segment of the last image lies in the next one, by optical flow (a KLT tracker for lines).
 //!
-//! Motion along an edge cannot be seen (the aperture problem), so only motion across it is measured: grey
+//! Motion along an edge cannot be seen (the aperture problem), so only motion across it is measured: gray
 //! levels are read on short paths across the segment, at places spread along it, and each path is shifted
 //! until it fits the next image (Lucas & Kanade in one dimension), from the coarsest of three levels to the
 //! finest.
@@ -259,7 +259,7 @@ impl LineFlow {
     }
 }
 
-/// The mean change of grey level across `line` at the points of it nearest to `points`, grey levels per
+/// The mean change of gray level across `line` at the points of it nearest to `points`, gray levels per
 /// pixel.
 fn gradient_across(line: &FittedLine, points: &[Vector2<f32>], image: &FlowPyramid) -> f32 {
     let sampler = Sampler::new(image.image());

@@ -1,4 +1,4 @@
-//! Grey levels on short paths across a segment, in the last image and in the next one.
+//! Gray levels on short paths across a segment, in the last image and in the next one.
 
 use nalgebra::Vector2;
 
@@ -23,12 +23,12 @@ pub(super) struct Paths<'a> {
 }
 
 impl Paths<'_> {
-    /// Grey levels across the old segment, `out.len()` of them about `pixel` (of the full image).
+    /// Gray levels across the old segment, `out.len()` of them about `pixel` (of the full image).
     pub fn read_last(&self, pixel: Vector2<f32>, out: &mut [f32]) {
         Self::read(&self.last, halved_position(pixel, self.level), self.old_normal, self.level, out);
     }
 
-    /// Grey levels across the expected segment.
+    /// Gray levels across the expected segment.
     pub fn read_next(&self, pixel: Vector2<f32>, out: &mut [f32]) {
         Self::read(&self.next, halved_position(pixel, self.level), self.new_normal, self.level, out);
     }

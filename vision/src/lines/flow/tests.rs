@@ -6,7 +6,7 @@ use crate::lines::test_scenes::{Scene, apply, similarity};
 use crate::test_images::noise;
 
 const SIZE: (u32, u32) = (400, 320);
-const CENTRE: Vector2<f32> = Vector2::new(200.0, 160.0);
+const CENTER: Vector2<f32> = Vector2::new(200.0, 160.0);
 
 fn pyramid(image: &GrayImage) -> FlowPyramid {
     let mut pyramid = FlowPyramid::default();
@@ -50,11 +50,11 @@ fn known_motions_are_followed_to_a_fraction_of_a_pixel() {
     let by = |x, y| Vector2::new(x, y);
     for (name, motion, gain, offset) in [
         ("none", Matrix3::identity(), 1.0, 0.0),
-        ("small", similarity(CENTRE, 1.0, 0.0, by(0.4, -0.7)), 1.0, 0.0),
-        ("shift", similarity(CENTRE, 1.0, 0.0, by(5.3, 3.8)), 1.0, 0.0),
-        ("turn", similarity(CENTRE, 1.0, 2.0, by(0.0, 0.0)), 1.0, 0.0),
-        ("nearer", similarity(CENTRE, 1.03, 1.0, by(2.0, -3.0)), 1.0, 0.0),
-        ("relit", similarity(CENTRE, 1.0, 0.5, by(-3.0, 2.0)), 0.85, 25.0),
+        ("small", similarity(CENTER, 1.0, 0.0, by(0.4, -0.7)), 1.0, 0.0),
+        ("shift", similarity(CENTER, 1.0, 0.0, by(5.3, 3.8)), 1.0, 0.0),
+        ("turn", similarity(CENTER, 1.0, 2.0, by(0.0, 0.0)), 1.0, 0.0),
+        ("nearer", similarity(CENTER, 1.03, 1.0, by(2.0, -3.0)), 1.0, 0.0),
+        ("relit", similarity(CENTER, 1.0, 0.5, by(-3.0, 2.0)), 0.85, 25.0),
     ] {
         let (share, rms, worst) = followed(&motion, gain, offset, None);
         println!("{name}: {share:.2} found, rms {rms:.3} px, worst {worst:.3} px");
@@ -65,9 +65,9 @@ fn known_motions_are_followed_to_a_fraction_of_a_pixel() {
 
 #[test]
 fn a_prior_makes_large_motions_small() {
-    let motion = similarity(CENTRE, 1.02, 8.0, Vector2::new(31.0, -17.0));
+    let motion = similarity(CENTER, 1.02, 8.0, Vector2::new(31.0, -17.0));
     // The prior is wrong by 2 px and a third of a degree.
-    let expected = similarity(CENTRE, 1.02, 8.3, Vector2::new(32.4, -18.4));
+    let expected = similarity(CENTER, 1.02, 8.3, Vector2::new(32.4, -18.4));
     let prior = |pixel: Vector2<f32>| apply(&expected, pixel);
     let (share, rms, worst) = followed(&motion, 1.0, 0.0, Some(&prior));
     println!("{share:.2} found, rms {rms:.3} px, worst {worst:.3} px");

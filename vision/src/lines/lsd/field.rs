@@ -20,12 +20,12 @@ pub(super) struct Field {
     pub width: usize,
     pub height: usize,
     /// Elements from one row to the next. A row of pixels without direction goes before the first, and the
-    /// last column and row have none either, so that every pixel with a direction has eight neighbours in
+    /// last column and row have none either, so that every pixel with a direction has eight neighbors in
     /// memory.
     pub stride: usize,
     /// Zero where the gradient is too weak.
     pub direction: Vec<Vector2<f32>>,
-    /// Norm of the gradient, grey levels per pixel of the shrunk image.
+    /// Norm of the gradient, gray levels per pixel of the shrunk image.
     pub magnitude: Vec<f32>,
     /// 0 for a pixel with a direction that no region has taken.
     pub taken: Vec<u8>,

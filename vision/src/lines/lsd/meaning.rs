@@ -82,8 +82,8 @@ impl Judge {
         self.cosine.clear();
         let (direction, normal) = (rectangle.direction.cast::<f32>(), rectangle.normal());
         rectangle.visit_rows(field.width, field.height, |row, from, to| {
-            let dy = row as f64 - rectangle.centre.y;
-            let first = normal.x * (from as f64 - rectangle.centre.x) + normal.y * dy;
+            let dy = row as f64 - rectangle.center.y;
+            let first = normal.x * (from as f64 - rectangle.center.x) + normal.y * dy;
             let at = (row + 1) * field.stride + 1;
             self.across.extend((0..=to - from).map(|i| (first + normal.x * i as f64) as f32));
             self.cosine.extend(field.direction[at + from..=at + to].iter().map(|d| d.dot(&direction)));

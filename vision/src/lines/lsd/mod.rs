@@ -1,7 +1,7 @@
 //! Segments by growing regions of like gradient direction and keeping those that do not happen by chance
 //! [Grompone von Gioi et al., "LSD: a Line Segment Detector", 2012].
 //!
-//! The image is shrunk and smoothed; from pixels of the largest gradient on, neighbours whose level line runs
+//! The image is shrunk and smoothed; from pixels of the largest gradient on, neighbors whose level line runs
 //! the same way are gathered; a rectangle around them is a segment if so many aligned pixels are not expected
 //! anywhere in noise. No angle is ever computed on the way: directions are unit vectors, compared by their
 //! scalar product.
@@ -27,8 +27,8 @@ use rectangle::Rectangle;
 const TOLERANCE: f32 = std::f32::consts::PI * PRECISION as f32;
 /// The chance that a direction agrees with another within the tolerance.
 const PRECISION: f64 = 0.125;
-/// Bound on the error of a gradient by the rounding of grey levels, grey levels.
-const QUANTISATION: f32 = 2.0;
+/// Bound on the error of a gradient by the rounding of gray levels, gray levels.
+const QUANTIZATION: f32 = 2.0;
 /// Smallest share of a rectangle its region must fill.
 const MIN_DENSITY: f64 = 0.7;
 
@@ -69,7 +69,7 @@ impl Lsd {
 impl RawDetector for Lsd {
     fn detect(&mut self, image: &GrayImage, _: &Gradients, segments: &mut Vec<Ends>) {
         let shrunk = self.rescaler.shrink(image, self.scale);
-        let min_magnitude = QUANTISATION / TOLERANCE.sin();
+        let min_magnitude = QUANTIZATION / TOLERANCE.sin();
         self.field.compute(shrunk, min_magnitude);
         self.judge.start_image(shrunk.width, shrunk.height);
         for i in 0..self.field.n_seeds() {

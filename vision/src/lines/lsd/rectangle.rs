@@ -8,13 +8,13 @@ use super::region::Region;
 /// A rectangle along the principal axis of a region, in pixels of the shrunk image.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rectangle {
-    /// Centre of the region's gradient.
-    pub centre: Vector2<f64>,
+    /// Center of the region's gradient.
+    pub center: Vector2<f64>,
     /// Unit vector along it, brighter side to the right.
     pub direction: Vector2<f64>,
-    /// Where it begins and ends along `direction` from `centre`.
+    /// Where it begins and ends along `direction` from `center`.
     pub along: [f64; 2],
-    /// Where it begins and ends to the right of `direction` from `centre`.
+    /// Where it begins and ends to the right of `direction` from `center`.
     pub across: [f64; 2],
 }
 
@@ -56,10 +56,10 @@ impl Rectangle {
             extend(&mut along, a);
             extend(&mut widest, b);
         }
-        // The line stays on the centre of the gradient, with the width shared out to both sides.
+        // The line stays on the center of the gradient, with the width shared out to both sides.
         let half_width = 0.5 * (widest[1] - widest[0]).max(1.0);
-        let centre = Vector2::new(x + f64::from(origin.x), y + f64::from(origin.y));
-        Self { centre, direction, along, across: [-half_width, half_width] }
+        let center = Vector2::new(x + f64::from(origin.x), y + f64::from(origin.y));
+        Self { center, direction, along, across: [-half_width, half_width] }
     }
 
     pub fn length(&self) -> f64 {
@@ -77,7 +77,7 @@ impl Rectangle {
 
     /// Start and end of its middle line.
     pub fn ends(&self) -> [Vector2<f64>; 2] {
-        let middle = self.centre + self.normal() * (0.5 * (self.across[0] + self.across[1]));
+        let middle = self.center + self.normal() * (0.5 * (self.across[0] + self.across[1]));
         self.along.map(|along| middle + self.direction * along)
     }
 
@@ -86,7 +86,7 @@ impl Rectangle {
     pub fn visit_rows(&self, width: usize, height: usize, mut visit: impl FnMut(usize, usize, usize)) {
         let (d, n) = (self.direction, self.normal());
         let corners = [(0, 0), (0, 1), (1, 0), (1, 1)]
-            .map(|(i, j)| self.centre.y + self.along[i] * d.y + self.across[j] * n.y);
+            .map(|(i, j)| self.center.y + self.along[i] * d.y + self.across[j] * n.y);
         let top = corners.iter().copied().fold(f64::INFINITY, f64::min).ceil().max(0.0);
         let bottom =
             corners.iter().copied().fold(f64::NEG_INFINITY, f64::max).floor().min(height as f64 - 1.0);
@@ -94,7 +94,7 @@ impl Rectangle {
             return;
         }
         for row in top as usize..=bottom as usize {
-            let dy = row as f64 - self.centre.y;
+            let dy = row as f64 - self.center.y;
             // The part of the row inside both pairs of parallel sides.
             let (mut from, mut to) = (0.0f64, width as f64 - 1.0);
             for (axis, [low, high]) in [(d, self.along), (n, self.across)] {
@@ -104,7 +104,7 @@ impl Rectangle {
                     }
                     continue;
                 }
-                let bounds = [low, high].map(|bound| self.centre.x + (bound - dy * axis.y) / axis.x);
+                let bounds = [low, high].map(|bound| self.center.x + (bound - dy * axis.y) / axis.x);
                 from = from.max(bounds[0].min(bounds[1]));
                 to = to.min(bounds[0].max(bounds[1]));
             }

@@ -24,7 +24,7 @@ const SMALLEST_WEIGHT: f64 = 1e-3;
 /// Rows shrunk together, so that the processor can take as many pixels at a time.
 const LANES: usize = 8;
 
-/// A shrunk image, grey levels not rounded, row by row.
+/// A shrunk image, gray levels not rounded, row by row.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Shrunk {
     pub width: usize,
@@ -89,10 +89,10 @@ impl Taps {
         for i in 0..self.n_new {
             // New pixel `i` lies over old position `i / scale`; its weights are a Gaussian around that, sum
             // one.
-            let centre = i as f64 / scale;
-            let nearest = (centre + 0.5).floor();
+            let center = i as f64 / scale;
+            let nearest = (center + 0.5).floor();
             let weight = |j: usize| {
-                let distance = nearest + j as f64 - radius as f64 - centre;
+                let distance = nearest + j as f64 - radius as f64 - center;
                 (-0.5 * (distance / sigma).powi(2)).exp()
             };
             let total: f64 = (0..n_used).map(weight).sum();

@@ -15,7 +15,7 @@ fn read_image(path: &Path) -> GrayImage {
     decode_gray(&EncodedImage::Auto(&bytes), &DecodeLimits::default()).unwrap()
 }
 
-/// A binary grey PGM file of 8 bits without comments.
+/// A binary gray PGM file of 8 bits without comments.
 fn read_pgm(path: &Path) -> GrayImage {
     let bytes = std::fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let mut fields = Vec::new();

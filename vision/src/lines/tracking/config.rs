@@ -47,7 +47,7 @@ impl Default for LineTrackerConfig {
             merge_if_longer_by: 0.1,
             flow: LineFlowConfig::default(),
             predicted_match: LineMatchConfig::PREDICTED,
-            unpredicted_match: LineMatchConfig::NEIGHBOURING,
+            unpredicted_match: LineMatchConfig::NEIGHBORING,
             merging: LineMergeConfig::default(),
             support: EdgeSupportConfig::default(),
         }

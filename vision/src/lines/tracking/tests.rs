@@ -5,7 +5,7 @@ use crate::lines::test_scenes::{Scene, apply, similarity};
 use crate::test_images::{Random, noise};
 
 const SIZE: (u32, u32) = (320, 240);
-const CENTRE: Vector2<f32> = Vector2::new(160.0, 120.0);
+const CENTER: Vector2<f32> = Vector2::new(160.0, 120.0);
 
 fn tracker() -> LineTracker {
     LineTracker::new(LineTrackerConfig::default()).unwrap()
@@ -59,7 +59,7 @@ fn nearest_edge(edges: &[(usize, Segment)], line: &Segment) -> Option<(usize, f3
 /// A camera that turns, shifts and comes nearer.
 fn view(frame: u32) -> Matrix3<f32> {
     let t = frame as f32;
-    similarity(CENTRE, 1.0 + 0.004 * t, 0.4 * t, Vector2::new(2.5 * t, -1.2 * t))
+    similarity(CENTER, 1.0 + 0.004 * t, 0.4 * t, Vector2::new(2.5 * t, -1.2 * t))
 }
 
 /// Where a pixel of frame `from` is in the one after it.
@@ -111,7 +111,7 @@ fn lines_of_a_moving_scene_keep_their_tracks() {
 #[test]
 fn a_prior_carries_lines_through_fast_motion() {
     let scene = Scene::new(SIZE.0, SIZE.1, 3);
-    let shift = similarity(CENTRE, 1.0, 4.0, Vector2::new(38.0, 21.0));
+    let shift = similarity(CENTER, 1.0, 4.0, Vector2::new(38.0, 21.0));
     let prior = |pixel: Vector2<f32>| apply(&shift, pixel);
     let first = scene.segments(SIZE, &Matrix3::identity());
     let segments: Vec<Segment> = first.iter().map(|(_, segment)| *segment).collect();

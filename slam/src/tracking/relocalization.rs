@@ -3,11 +3,11 @@
 
 use super::frame::TrackedFrame;
 use super::pose::place_frame;
-use crate::config::{ConfigError, PrimitiveConfig, RelocalisationConfig, SlamConfig};
+use crate::config::{ConfigError, PrimitiveConfig, RelocalizationConfig, SlamConfig};
 use crate::features::View;
+use crate::keyframe_index::KeyframeIndex;
 use crate::map::{Keyframe, KeyframeId, Map, PointId, SubmapId};
 use crate::matching::{Expected, match_keyframe, search_by_motion};
-use crate::places::KeyframePlaces;
 use crate::vanishing::VanishingFinder;
 use geometry::Pose;
 use geometry::absolute_pose::{PoseObservation, ransac_pose, ransac_pose_with_rotations};
@@ -20,19 +20,19 @@ use vision::vanishing::rotation_hypotheses;
 
 /// Radius of the guided search around a pose found from few matches, pixels of the level.
 const GUIDED_RADIUS_PX: f64 = 10.0;
-/// Neighbours of a recognised key frame whose points are looked for as well.
-const N_NEIGHBOURS: usize = 10;
+/// Neighbors of a recognized keyframe whose points are looked for as well.
+const N_NEIGHBORS: usize = 10;
 
 /// Angles between directions that count as the same, and attitudes that count as one, degrees.
 const ATTITUDE_TOLERANCE_DEG: f64 = 3.0;
 /// Attitudes tried: three directions at right angles allow 24.
 const MAX_ATTITUDES: usize = 48;
 
-/// Recognises places. Learns the key frames of a map as they appear.
-pub(crate) struct Relocaliser {
-    config: RelocalisationConfig,
+/// Recognizes places. Learns the keyframes of a map as they appear.
+pub(crate) struct Relocalizer {
+    config: RelocalizationConfig,
     primitives: PrimitiveConfig,
-    places: KeyframePlaces,
+    places: KeyframeIndex,
     /// Absent where primitives are switched off.
     finder: Option<VanishingFinder>,
     rng: ChaCha8Rng,
@@ -56,23 +56,23 @@ enum Start<'a> {
     Attitudes(&'a [UnitQuaternion<f64>]),
 }
 
-impl Relocaliser {
+impl Relocalizer {
     /// # Errors
     /// If the configuration of the search for vanishing points cannot be used.
     pub fn new(config: &SlamConfig) -> Result<Self, ConfigError> {
         let finder = || VanishingFinder::new(&config.primitives, config.seed);
         Ok(Self {
             finder: config.features.global_primitives.then(finder).transpose()?,
-            config: config.relocalisation.clone(),
+            config: config.relocalization.clone(),
             primitives: config.primitives.clone(),
-            places: KeyframePlaces::default(),
+            places: KeyframeIndex::default(),
             rng: ChaCha8Rng::seed_from_u64(config.seed),
             n_candidates: 0,
             vanishing: None,
         })
     }
 
-    /// Enters the key frames that are new in the map and drops those that are gone.
+    /// Enters the keyframes that are new in the map and drops those that are gone.
     pub fn update(&mut self, map: &Map) {
         self.places.update(map);
     }
@@ -82,7 +82,7 @@ impl Relocaliser {
         self.n_candidates
     }
 
-    /// The key frames that look most like a frame, best first. A submap may be left out.
+    /// The keyframes that look most like a frame, best first. A submap may be left out.
     pub fn candidates(&mut self, view: &View, map: &Map, except: Option<SubmapId>) -> Vec<KeyframeId> {
         let is_wanted = |id| map.keyframe(id).is_some_and(|keyframe| Some(keyframe.submap) != except);
         let candidates =
@@ -144,7 +144,7 @@ impl Relocaliser {
         (n_inliers >= self.config.min_inliers).then_some(frame)
     }
 
-    /// The attitudes, in the world of a key frame, under which the frame shows its vanishing points where
+    /// The attitudes, in the world of a keyframe, under which the frame shows its vanishing points where
     /// primitives are.
     fn attitudes(&mut self, view: &View, keyframe: &Keyframe, map: &Map) -> Vec<UnitQuaternion<f64>> {
         let Some(finder) = &mut self.finder else { return Vec::new() };
@@ -171,18 +171,17 @@ impl Relocaliser {
         }
     }
 
-    /// Looks for what the recognised key frame and its neighbours see, around where the pose puts it.
+    /// Looks for what the recognized keyframe and its neighbors see, around where the pose puts it.
     fn search_around(&self, frame: &mut TrackedFrame, keyframe: &Keyframe, map: &Map) {
         let mut seen: BTreeSet<PointId> = frame.points.iter().flatten().copied().collect();
         let features = frame.features.clone();
-        let neighbours =
-            keyframe.covisible().iter().take(N_NEIGHBOURS).filter_map(|(id, _)| map.keyframe(*id));
-        for neighbour in std::iter::once(keyframe).chain(neighbours) {
+        let neighbors = keyframe.covisible().iter().take(N_NEIGHBORS).filter_map(|(id, _)| map.keyframe(*id));
+        for neighbor in std::iter::once(keyframe).chain(neighbors) {
             let wanted: Vec<(usize, PointId)> =
-                neighbour.observed_points().filter(|(_, id)| seen.insert(*id)).collect();
+                neighbor.observed_points().filter(|(_, id)| seen.insert(*id)).collect();
             let expected = wanted.iter().filter_map(|(keypoint_idx, id)| {
                 let point = map.point(*id)?;
-                let keypoint = &neighbour.features.keypoints[*keypoint_idx];
+                let keypoint = &neighbor.features.keypoints[*keypoint_idx];
                 let descriptor = &point.descriptor;
                 Some(Expected { point, octave: keypoint.octave, angle: keypoint.angle, descriptor })
             });

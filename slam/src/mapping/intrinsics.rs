@@ -1,6 +1,6 @@
 //! Self-calibration: when the intrinsics are checked against the images, and what comes of it.
 
-use crate::bundle::calibration::{Doubt, Verdict, examine};
+use crate::bundle::calibration::{IntrinsicsDoubt, IntrinsicsFinding, refine_intrinsics};
 use crate::bundle::global::{GlobalResult, adjust_to_camera};
 use crate::config::{CalibrationConfig, SlamConfig};
 use crate::map::{Map, SubmapId};
@@ -9,29 +9,29 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// When the camera is looked at next, and what was found so far.
 #[derive(Clone, Debug)]
-pub(super) struct CameraWatch {
-    /// Key frames from which on it is looked at again.
+pub(super) struct IntrinsicsMonitor {
+    /// Keyframes from which on it is looked at again.
     next_keyframes: usize,
     /// What the last look found, if that was doubtful.
-    doubt: Option<Doubt>,
+    doubt: Option<IntrinsicsDoubt>,
     /// Looking again would not help.
     is_over: bool,
 }
 
 /// What a look at the camera came to.
-pub(super) struct Look {
-    doubt: Option<Doubt>,
+pub(super) struct IntrinsicsCheck {
+    doubt: Option<IntrinsicsDoubt>,
     event: Option<MapEvent>,
     /// The submap as it is with another camera.
     pub adjusted: Option<GlobalResult>,
 }
 
-impl CameraWatch {
+impl IntrinsicsMonitor {
     pub fn new(config: &CalibrationConfig) -> Self {
         Self { next_keyframes: config.min_keyframes, doubt: None, is_over: false }
     }
 
-    /// The submap by which the camera is to be looked at now, if it is; `share` of the planned key frames
+    /// The submap by which the camera is to be looked at now, if it is; `share` of the planned keyframes
     /// will do. Only while the map is in one piece: another piece would not be adjusted with it.
     pub fn is_due(&mut self, map: &Map, share: f64, config: &CalibrationConfig) -> Option<SubmapId> {
         let n_keyframes = map.n_keyframes();
@@ -51,38 +51,38 @@ impl CameraWatch {
     }
 
     /// What made the last look doubtful.
-    pub fn doubt(&self) -> Option<Doubt> {
+    pub fn doubt(&self) -> Option<IntrinsicsDoubt> {
         self.doubt
     }
 
     /// Takes note of a look, and tells what there is to tell.
-    pub fn learn(&mut self, look: &Look) -> Option<MapEvent> {
-        self.doubt = look.doubt;
-        self.is_over |= matches!(look.event, Some(MapEvent::CalibrationContradicted { .. }));
-        look.event
+    pub fn note(&mut self, check: &IntrinsicsCheck) -> Option<MapEvent> {
+        self.doubt = check.doubt;
+        self.is_over |= matches!(check.event, Some(MapEvent::CalibrationContradicted { .. }));
+        check.event
     }
 }
 
 /// Looks at the camera and, if it is another than was thought, adjusts the submap to it. `None` if `abort`
 /// was set meanwhile.
-pub(super) fn look(
+pub(super) fn check_intrinsics(
     map: &Map,
     submap: SubmapId,
-    doubt: Option<Doubt>,
+    doubt: Option<IntrinsicsDoubt>,
     config: &SlamConfig,
     abort: &AtomicBool,
-) -> Option<Look> {
+) -> Option<IntrinsicsCheck> {
     let aborted = || abort.load(Ordering::Relaxed);
-    let nothing = Look { doubt: None, event: None, adjusted: None };
-    Some(match examine(map, submap, doubt, &config.calibration, aborted)? {
-        Verdict::Confirmed => nothing,
-        Verdict::Doubtful(doubt) => Look { doubt: Some(doubt), ..nothing },
-        Verdict::Refined(estimate) => Look {
+    let nothing = IntrinsicsCheck { doubt: None, event: None, adjusted: None };
+    Some(match refine_intrinsics(map, submap, doubt, &config.calibration, aborted)? {
+        IntrinsicsFinding::Confirmed => nothing,
+        IntrinsicsFinding::Doubtful(doubt) => IntrinsicsCheck { doubt: Some(doubt), ..nothing },
+        IntrinsicsFinding::Refined(estimate) => IntrinsicsCheck {
             adjusted: Some(adjust_to_camera(map, submap, Some(&estimate), config, abort)?),
             event: Some(MapEvent::CalibrationRefined { correction: estimate.correction }),
             doubt: None,
         },
-        Verdict::Contradicted(correction) => Look {
+        IntrinsicsFinding::Contradicted(correction) => IntrinsicsCheck {
             // A camera taken over earlier was a first step towards something that no camera explains.
             adjusted: if map.correction().is_none() {
                 None

@@ -8,10 +8,10 @@ mod third_view;
 mod two_view;
 
 use crate::bundle;
-use crate::config::{InitialisationConfig, SlamConfig, Threading};
+use crate::config::{InitializationConfig, SlamConfig, Threading};
 use crate::features::View;
 use crate::parallel;
-use crate::report::InitialisationWait;
+use crate::report::InitializationWait;
 use geometry::Pose;
 use geometry::nalgebra::Vector3;
 use rand::{RngCore, SeedableRng};
@@ -36,8 +36,8 @@ pub(crate) struct InitialPair {
 }
 
 /// Keeps recent views and tries to start a map from pairs of them.
-pub(crate) struct Initialiser {
-    config: InitialisationConfig,
+pub(crate) struct Initializer {
+    config: InitializationConfig,
     views: VecDeque<View>,
     /// Views tried since the start.
     n_waited: usize,
@@ -45,10 +45,10 @@ pub(crate) struct Initialiser {
     threading: Threading,
 }
 
-impl Initialiser {
+impl Initializer {
     pub fn new(config: &SlamConfig) -> Self {
         Self {
-            config: config.initialisation.clone(),
+            config: config.initialization.clone(),
             views: VecDeque::new(),
             n_waited: 0,
             rng: ChaCha8Rng::seed_from_u64(config.seed),
@@ -57,10 +57,10 @@ impl Initialiser {
     }
 
     /// Tries to start a map with this view as the second one; keeps it as a possible first one otherwise.
-    pub fn try_start(&mut self, view: View) -> Result<InitialPair, InitialisationWait> {
+    pub fn try_start(&mut self, view: View) -> Result<InitialPair, InitializationWait> {
         let (n_keypoints, n_required) = (view.features.len(), self.config.min_keypoints);
         if n_keypoints < n_required {
-            return Err(InitialisationWait::TooFewFeatures { n_keypoints, n_required });
+            return Err(InitializationWait::TooFewFeatures { n_keypoints, n_required });
         }
         let attempt = self.attempt(&view);
         self.n_waited += 1;
@@ -85,8 +85,8 @@ impl Initialiser {
 
     /// Tries pairs from the widest baseline to shorter ones: the widest beside the others, unless all is to
     /// be inline.
-    fn attempt(&mut self, view: &View) -> Result<InitialPair, InitialisationWait> {
-        let mut wait = InitialisationWait::FirstView;
+    fn attempt(&mut self, view: &View) -> Result<InitialPair, InitializationWait> {
+        let mut wait = InitializationWait::FirstView;
         let mut oldest_matches = Vec::new();
         // Views too old to share anything with the present one only cost time.
         while let Some(oldest) = self.views.front() {
@@ -95,7 +95,7 @@ impl Initialiser {
             if n_matches >= n_required {
                 break;
             }
-            wait = InitialisationWait::TooFewMatches { n_matches, n_required };
+            wait = InitializationWait::TooFewMatches { n_matches, n_required };
             self.views.pop_front();
         }
         let n = self.views.len();
@@ -137,20 +137,20 @@ impl Initialiser {
         second: &View,
         matches: &[(usize, usize)],
         rng: &mut ChaCha8Rng,
-    ) -> Result<InitialPair, InitialisationWait> {
+    ) -> Result<InitialPair, InitializationWait> {
         let (n_matches, n_required) = (matches.len(), self.config.min_matches);
         if n_matches < n_required {
-            return Err(InitialisationWait::TooFewMatches { n_matches, n_required });
+            return Err(InitializationWait::TooFewMatches { n_matches, n_required });
         }
         let motion = two_view::solve(&first.features, &second.features, matches, &self.config, rng)?;
         let (pair, direction_sigma_deg) = refine(first, second, matches, &motion);
         let n_agreeing = pair.points.len();
         let required_deg = self.max_direction_sigma_deg();
         if direction_sigma_deg > required_deg {
-            return Err(InitialisationWait::UncertainMotion { direction_sigma_deg, required_deg });
+            return Err(InitializationWait::UncertainMotion { direction_sigma_deg, required_deg });
         }
         if n_agreeing < self.config.min_points {
-            return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
+            return Err(InitializationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
         }
         self.confirm(pair, rng)
     }
@@ -165,18 +165,18 @@ impl Initialiser {
 
     /// A further view must see the points where the motion puts them: one between the two, or else one before
     /// them.
-    fn confirm(&self, pair: InitialPair, rng: &mut ChaCha8Rng) -> Result<InitialPair, InitialisationWait> {
+    fn confirm(&self, pair: InitialPair, rng: &mut ChaCha8Rng) -> Result<InitialPair, InitializationWait> {
         let inside =
             |view: &&View| view.sequence > pair.first.sequence && view.sequence < pair.second.sequence;
         let between: Vec<&View> = self.views.iter().filter(inside).collect();
         let before = self.views.iter().rev().find(|view| view.sequence < pair.first.sequence);
         let Some(third) = between.get(between.len() / 2).copied().or(before) else {
-            return Err(InitialisationWait::FirstView);
+            return Err(InitializationWait::FirstView);
         };
         let (n_confirmed, n_looked_for) = third_view::confirm(&pair, third, &self.config, rng);
         if (n_confirmed as f64) < self.config.min_third_view_share * n_looked_for as f64 {
             let (n_agreeing, n_matches) = (n_confirmed, n_looked_for);
-            return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
+            return Err(InitializationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
         }
         Ok(pair)
     }
@@ -184,9 +184,9 @@ impl Initialiser {
 
 /// The first that succeeded, later ones not tried; else the most telling reason.
 fn first_success(
-    attempts: &mut dyn Iterator<Item = Result<InitialPair, InitialisationWait>>,
-) -> Result<InitialPair, InitialisationWait> {
-    let mut wait = InitialisationWait::FirstView;
+    attempts: &mut dyn Iterator<Item = Result<InitialPair, InitializationWait>>,
+) -> Result<InitialPair, InitializationWait> {
+    let mut wait = InitializationWait::FirstView;
     for attempt in attempts {
         match attempt {
             Ok(pair) => return Ok(pair),
@@ -197,14 +197,14 @@ fn first_success(
 }
 
 /// The reason that is nearer to success: few matches, then little parallax, then ambiguity.
-fn more_telling(a: InitialisationWait, b: InitialisationWait) -> InitialisationWait {
-    let rank = |wait: &InitialisationWait| match wait {
-        InitialisationWait::FirstView | InitialisationWait::MappingDisabled => 0,
-        InitialisationWait::TooFewFeatures { .. } => 1,
-        InitialisationWait::TooFewMatches { .. } => 2,
-        InitialisationWait::TooLittleParallax { .. } => 3,
-        InitialisationWait::UncertainMotion { .. } => 4,
-        InitialisationWait::Ambiguous { .. } => 5,
+fn more_telling(a: InitializationWait, b: InitializationWait) -> InitializationWait {
+    let rank = |wait: &InitializationWait| match wait {
+        InitializationWait::FirstView | InitializationWait::MappingDisabled => 0,
+        InitializationWait::TooFewFeatures { .. } => 1,
+        InitializationWait::TooFewMatches { .. } => 2,
+        InitializationWait::TooLittleParallax { .. } => 3,
+        InitializationWait::UncertainMotion { .. } => 4,
+        InitializationWait::Ambiguous { .. } => 5,
     };
     if rank(&b) > rank(&a) { b } else { a }
 }

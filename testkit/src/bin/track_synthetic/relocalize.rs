@@ -13,26 +13,26 @@ const INTERVAL: usize = 10;
 
 /// Looks for frames whose contrast is this many times that of the recording, and prints how many are found
 /// and how far they are from the truth.
-pub fn print_relocalised(
+pub fn print_relocalized(
     map: &Map,
     recording: &Recording,
     config: &SlamConfig,
     contrast: f64,
 ) -> Result<(), Box<dyn Error>> {
-    let (mut centres, mut truths) = (Vec::new(), Vec::new());
+    let (mut centers, mut truths) = (Vec::new(), Vec::new());
     for keyframe in map.keyframes() {
-        centres.push(keyframe.camera_from_world.centre());
-        truths.push(recording.camera_from_world(keyframe.sequence as usize).centre());
+        centers.push(keyframe.camera_from_world.center());
+        truths.push(recording.camera_from_world(keyframe.sequence as usize).center());
     }
     let truth_from_map =
-        Similarity::from_correspondences(&centres, &truths, true).ok_or("the map is too small")?;
+        Similarity::from_correspondences(&centers, &truths, true).ok_or("the map is too small")?;
     let config = SlamConfig { threading: Threading::Inline, ..config.clone() };
     let (mut n_tried, mut errors, mut times_ms) = (0, Vec::new(), Vec::new());
     for index in (0..recording.len()).step_by(INTERVAL) {
         let image = recording.image(index)?;
         let image = GrayImage::from_fn(image.width(), image.height(), |x, y| {
-            let grey = f64::from(image.get(x, y).unwrap_or(0));
-            (128.0 + contrast * (grey - 128.0)).round() as u8
+            let gray = f64::from(image.get(x, y).unwrap_or(0));
+            (128.0 + contrast * (gray - 128.0)).round() as u8
         });
         let state = ResumeState { map: map.to_parts(), last_frame: None };
         let clock = Arc::new(WallClock::start());
@@ -43,8 +43,8 @@ pub fn print_relocalised(
         n_tried += 1;
         times_ms.push(report.wall_ns as f64 * 1e-6);
         if let Some(world_from_camera) = report.world_from_camera {
-            let centre = truth_from_map.transform(&world_from_camera.translation);
-            errors.push((centre - recording.camera_from_world(index).centre()).norm());
+            let center = truth_from_map.transform(&world_from_camera.translation);
+            errors.push((center - recording.camera_from_world(index).center()).norm());
         }
     }
     println!(

@@ -2,7 +2,7 @@
 
 use super::matching::match_views;
 use super::{InitialPair, REFERENCE_WIDTH_PX};
-use crate::config::InitialisationConfig;
+use crate::config::InitializationConfig;
 use crate::features::View;
 use geometry::absolute_pose::{PoseObservation, ransac_pose};
 use geometry::ransac::RansacConfig;
@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 pub(super) fn confirm(
     pair: &InitialPair,
     third: &View,
-    config: &InitialisationConfig,
+    config: &InitializationConfig,
     rng: &mut ChaCha8Rng,
 ) -> (usize, usize) {
     let features = &third.features;

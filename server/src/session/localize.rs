@@ -31,7 +31,7 @@ pub struct Located {
 ///
 /// # Errors
 /// If the image cannot be used, or the session not be read. A place that is not found is no error.
-pub async fn localise(
+pub async fn localize(
     context: &LoadContext<'_>,
     image: SentImage,
     limits: DecodeLimits,

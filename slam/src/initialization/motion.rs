@@ -65,7 +65,7 @@ impl Manifold for RelativeMotion {
 /// Distance of a match from the epipolar constraint, to first order and in standard deviations [Sampson
 /// 1982].
 ///
-/// `r(R, d) = b·(d × R a) / s`, with `a`, `b` the homogeneous normalised coordinates in the two views and `s`
+/// `r(R, d) = b·(d × R a) / s`, with `a`, `b` the homogeneous normalized coordinates in the two views and `s`
 /// the standard deviation that their noise gives the numerator. The derivative takes `s` as constant, which
 /// is exact where `r` vanishes.
 #[derive(Clone, Copy, Debug)]
@@ -159,7 +159,7 @@ mod tests {
                 let shake =
                     |phase: f64| Vector2::new((17.0 * s + phase).sin(), (23.0 * s + phase).cos()) * noise;
                 let second = second_from_first.transform(&point);
-                Correspondence::of_normalised(
+                Correspondence::of_normalized(
                     point.xy() / point.z + shake(0.0),
                     second.xy() / second.z + shake(1.0),
                     1e-6,

@@ -7,20 +7,20 @@ use geometry::nalgebra::{Matrix3, Vector2, Vector3};
 /// One match in the coordinates the solvers want.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Correspondence {
-    /// Normalised image coordinates, (pixel - centre) / focal length.
+    /// Normalized image coordinates, (pixel - center) / focal length.
     pub first: Vector2<f64>,
     pub second: Vector2<f64>,
     pub first_bearing: Vector3<f64>,
     pub second_bearing: Vector3<f64>,
-    /// Variances of the positions, normalised coordinates squared.
+    /// Variances of the positions, normalized coordinates squared.
     pub first_variance: f64,
     pub second_variance: f64,
 }
 
 impl Correspondence {
-    /// A match of normalised coordinates, for tests.
+    /// A match of normalized coordinates, for tests.
     #[cfg(test)]
-    pub fn of_normalised(first: Vector2<f64>, second: Vector2<f64>, variance: f64) -> Self {
+    pub fn of_normalized(first: Vector2<f64>, second: Vector2<f64>, variance: f64) -> Self {
         Self {
             first,
             second,
@@ -36,7 +36,7 @@ impl Correspondence {
             let sigma = features.sigma_px(idx) / features.pinhole.mean_focal_px();
             sigma * sigma
         };
-        let of = |pinhole: &Pinhole, pixel| (pinhole.normalised(pixel), pinhole.bearing(pixel));
+        let of = |pinhole: &Pinhole, pixel| (pinhole.normalized(pixel), pinhole.bearing(pixel));
         let (a, first_bearing) = of(&first.pinhole, &first.undistorted[first_idx]);
         let (b, second_bearing) = of(&second.pinhole, &second.undistorted[second_idx]);
         Self {

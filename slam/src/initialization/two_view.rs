@@ -3,9 +3,9 @@
 use super::correspondence::Correspondence;
 use super::motion::{self, RelativeMotion};
 use crate::bundle::factors::PointReprojectionFactor;
-use crate::config::InitialisationConfig;
+use crate::config::InitializationConfig;
 use crate::features::FrameFeatures;
-use crate::report::InitialisationWait;
+use crate::report::InitializationWait;
 use geometry::nalgebra::{Matrix3, Vector3};
 use geometry::ransac::{Estimator, RansacConfig, ransac};
 use geometry::{Pose, so3, triangulation, two_view};
@@ -38,9 +38,9 @@ pub(super) fn solve(
     first: &FrameFeatures,
     second: &FrameFeatures,
     matches: &[(usize, usize)],
-    config: &InitialisationConfig,
+    config: &InitializationConfig,
     rng: &mut ChaCha8Rng,
-) -> Result<TwoViewMotion, InitialisationWait> {
+) -> Result<TwoViewMotion, InitializationWait> {
     let correspondences: Vec<Correspondence> =
         matches.iter().map(|(a, b)| Correspondence::new(first, *a, second, *b)).collect();
     let n_matches = correspondences.len();
@@ -52,7 +52,7 @@ pub(super) fn solve(
         .collect();
     refined.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut refined = refined.into_iter();
-    let nothing = InitialisationWait::Ambiguous { n_agreeing: 0, n_runner_up: 0, n_matches };
+    let nothing = InitializationWait::Ambiguous { n_agreeing: 0, n_runner_up: 0, n_matches };
     let (best_cost, best) = refined.next().ok_or(nothing)?;
     let n_agreeing = best.points.len();
     // Nearly equal motions are the same motion found twice.
@@ -63,12 +63,12 @@ pub(super) fn solve(
     // Without parallax every motion of the same rotation explains the matches, so that is the reason to give.
     if best.parallax_deg < config.min_parallax_deg {
         let (parallax_deg, required_deg) = (best.parallax_deg, config.min_parallax_deg);
-        return Err(InitialisationWait::TooLittleParallax { parallax_deg, required_deg });
+        return Err(InitializationWait::TooLittleParallax { parallax_deg, required_deg });
     }
     let too_few =
         n_agreeing < config.min_points || (n_agreeing as f64) < config.min_inlier_share * n_matches as f64;
     if is_rivalled || too_few {
-        return Err(InitialisationWait::Ambiguous { n_agreeing, n_runner_up, n_matches });
+        return Err(InitializationWait::Ambiguous { n_agreeing, n_runner_up, n_matches });
     }
     Ok(best)
 }
@@ -153,7 +153,7 @@ pub(super) fn factors(
 /// Motions that either model allows: which of them the scene wants shows in their costs.
 fn candidate_motions(
     correspondences: &[Correspondence],
-    config: &InitialisationConfig,
+    config: &InitializationConfig,
     rng: &mut ChaCha8Rng,
 ) -> Vec<Pose> {
     let search = |max_squared_residual| RansacConfig {
@@ -184,7 +184,7 @@ fn unit_baseline(pose: Pose) -> Pose {
 fn judge(second_from_first: &Pose, correspondences: &[Correspondence]) -> TwoViewMotion {
     let mut points = Vec::new();
     let mut parallaxes = Vec::new();
-    let second_centre = second_from_first.centre();
+    let second_center = second_from_first.center();
     for (match_idx, c) in correspondences.iter().enumerate() {
         let ray = second_from_first.rotation.inverse() * c.second_bearing;
         let identity = Pose::identity();
@@ -200,7 +200,7 @@ fn judge(second_from_first: &Pose, correspondences: &[Correspondence]) -> TwoVie
         if chi2_first.max(chi2_second) > MAX_REPROJECTION_CHI2 {
             continue;
         }
-        parallaxes.push(triangulation::parallax(&Vector3::zeros(), &second_centre, &point));
+        parallaxes.push(triangulation::parallax(&Vector3::zeros(), &second_center, &point));
         points.push((match_idx, point));
     }
     parallaxes.sort_by(|a, b| b.total_cmp(a));
