@@ -1,31 +1,58 @@
 //! Deleting sessions.
 
+use crate::save::id_list;
 use crate::{Store, StoreError};
 use sqlx::SqliteConnection;
 
 /// Rows deleted per transaction: other sessions' commits wait some tens of milliseconds at most.
 const ROWS_PER_STEP: i64 = 5_000;
 
-/// Deletions that take at most the bound number of a session's rows each. Blobs first: the pages they free
-/// are what the R*Tree rearranges itself in when the database is full.
-const STEPS: [&str; 9] = [
+/// A deletion that takes at most the bound number of a session's rows.
+enum Step {
+    /// Of an ordinary table, in one statement.
+    Rows(&'static str),
+    /// Of an R*Tree: it refuses to be written while a statement that has not come to its end reads it, as a
+    /// subquery with a limit does.
+    Cells { select: &'static str, delete: &'static str },
+}
+
+/// Blobs first: the pages they free are what the R*Tree rearranges itself in when the database is full.
+const STEPS: [Step; 9] = [
     // Pages of blobs are what takes the time here, hence fewer rows.
-    "DELETE FROM keyframe_images WHERE session = ?1 AND keyframe IN
-         (SELECT keyframe FROM keyframe_images WHERE session = ?1 LIMIT ?2 / 50)",
-    "DELETE FROM keyframe_features WHERE session = ?1 AND keyframe IN
-         (SELECT keyframe FROM keyframe_features WHERE session = ?1 LIMIT ?2 / 50)",
-    "DELETE FROM frames WHERE session = ?1 AND sequence IN
-         (SELECT sequence FROM frames WHERE session = ?1 LIMIT ?2)",
-    "DELETE FROM points WHERE session = ?1 AND id IN (SELECT id FROM points WHERE session = ?1 LIMIT ?2)",
-    "DELETE FROM point_cells WHERE key IN
-         (SELECT key FROM point_cells WHERE session_min >= ?1 AND session_max <= ?1 LIMIT ?2)",
-    "DELETE FROM lines WHERE session = ?1 AND id IN (SELECT id FROM lines WHERE session = ?1 LIMIT ?2)",
-    "DELETE FROM line_cells WHERE key IN
-         (SELECT key FROM line_cells WHERE session_min >= ?1 AND session_max <= ?1 LIMIT ?2)",
-    "DELETE FROM keyframe_vanishing WHERE session = ?1 AND keyframe IN
-         (SELECT keyframe FROM keyframe_vanishing WHERE session = ?1 LIMIT ?2 / 10)",
-    "DELETE FROM removed_keyframes WHERE session = ?1 AND id IN
-         (SELECT id FROM removed_keyframes WHERE session = ?1 LIMIT ?2)",
+    Step::Rows(
+        "DELETE FROM keyframe_images WHERE session = ?1 AND keyframe IN
+             (SELECT keyframe FROM keyframe_images WHERE session = ?1 LIMIT ?2 / 50)",
+    ),
+    Step::Rows(
+        "DELETE FROM keyframe_features WHERE session = ?1 AND keyframe IN
+             (SELECT keyframe FROM keyframe_features WHERE session = ?1 LIMIT ?2 / 50)",
+    ),
+    Step::Rows(
+        "DELETE FROM frames WHERE session = ?1 AND sequence IN
+             (SELECT sequence FROM frames WHERE session = ?1 LIMIT ?2)",
+    ),
+    Step::Rows(
+        "DELETE FROM points WHERE session = ?1 AND id IN (SELECT id FROM points WHERE session = ?1 LIMIT ?2)",
+    ),
+    Step::Cells {
+        select: "SELECT key FROM point_cells WHERE session_min >= ?1 AND session_max <= ?1 LIMIT ?2",
+        delete: "DELETE FROM point_cells WHERE key IN (SELECT value FROM json_each(?))",
+    },
+    Step::Rows(
+        "DELETE FROM lines WHERE session = ?1 AND id IN (SELECT id FROM lines WHERE session = ?1 LIMIT ?2)",
+    ),
+    Step::Cells {
+        select: "SELECT key FROM line_cells WHERE session_min >= ?1 AND session_max <= ?1 LIMIT ?2",
+        delete: "DELETE FROM line_cells WHERE key IN (SELECT value FROM json_each(?))",
+    },
+    Step::Rows(
+        "DELETE FROM keyframe_vanishing WHERE session = ?1 AND keyframe IN
+             (SELECT keyframe FROM keyframe_vanishing WHERE session = ?1 LIMIT ?2 / 10)",
+    ),
+    Step::Rows(
+        "DELETE FROM removed_keyframes WHERE session = ?1 AND id IN
+             (SELECT id FROM removed_keyframes WHERE session = ?1 LIMIT ?2)",
+    ),
 ];
 
 impl Store {
@@ -64,7 +91,7 @@ impl Store {
     }
 
     async fn clear_session(&self, number: i64) -> Result<(), StoreError> {
-        for step in STEPS {
+        for step in &STEPS {
             while self.delete_some(step, number).await? > 0 {}
         }
         // The keyframes and primitives go with the session's row.
@@ -73,11 +100,24 @@ impl Store {
         transaction.commit().await
     }
 
-    async fn delete_some(&self, step: &'static str, number: i64) -> Result<u64, StoreError> {
+    /// How many rows the step found.
+    async fn delete_some(&self, step: &Step, number: i64) -> Result<u64, StoreError> {
         let mut transaction = self.begin_write().await?;
-        let deleted = sqlx::query(step).bind(number).bind(ROWS_PER_STEP).execute(&mut *transaction).await?;
+        let n_deleted = match step {
+            Step::Rows(delete) => {
+                let query = sqlx::query(*delete).bind(number).bind(ROWS_PER_STEP);
+                query.execute(&mut *transaction).await?.rows_affected()
+            }
+            Step::Cells { select, delete } => {
+                let query = sqlx::query_scalar(*select).bind(number).bind(ROWS_PER_STEP);
+                let keys: Vec<i64> = query.fetch_all(&mut *transaction).await?;
+                let list = id_list(keys.iter().map(|key| *key as u64));
+                sqlx::query(*delete).bind(list).execute(&mut *transaction).await?;
+                keys.len() as u64
+            }
+        };
         transaction.commit().await?;
-        Ok(deleted.rows_affected())
+        Ok(n_deleted)
     }
 }
 

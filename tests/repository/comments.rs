@@ -38,7 +38,8 @@ fn is_too_wide(line: &str) -> bool {
 #[test]
 fn comments_are_as_narrow_as_code() {
     let mut wide = Vec::new();
-    for file in files::with_extension("rs") {
+    let written = |file: &files::File| !file.path.components().any(|part| part.as_os_str() == "generated");
+    for file in files::with_extension("rs").into_iter().filter(written) {
         let lines = file.text.lines().enumerate().filter(|(_, line)| is_too_wide(line));
         wide.extend(lines.map(|(idx, line)| {
             format!("{}:{}: {} columns", file.path.display(), idx + 1, line.chars().count())

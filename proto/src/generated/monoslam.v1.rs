@@ -18,7 +18,7 @@ pub struct Camera {
     #[prost(double, repeated, tag = "8")]
     pub distortion: ::prost::alloc::vec::Vec<f64>,
 }
-/// Options of a session; every field left out takes the server's default.
+/// What a session runs with; every field left out takes the server's default.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct SessionOptions {
     /// Repeatable mode: every stage runs in turn on one thread; same frames and seed, same bytes.
@@ -86,8 +86,8 @@ pub struct Session {
     /// Metres per map unit. Absent while the scale is free.
     #[prost(double, optional, tag = "17")]
     pub metres_per_unit: ::core::option::Option<f64>,
-    /// The camera as the session has found it to be: of another focal length or principal point than it was
-    /// given with. Absent while the calibration is used as it was given.
+    /// The camera as the session has found it to be: of another focal length or principal point than it was given with. Absent
+    /// while the calibration is used as it was given.
     #[prost(message, optional, tag = "18")]
     pub refined_camera: ::core::option::Option<Camera>,
 }
@@ -243,11 +243,10 @@ pub struct FrameEvent {
     #[prost(message, repeated, tag = "10")]
     pub corrections: ::prost::alloc::vec::Vec<MapCorrection>,
 }
-/// The map was corrected: a loop was closed, submaps were merged, or the intrinsics were refined.
+/// The map was put right by a place that was seen again, or because the camera is not as it was given.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct MapCorrection {
-    /// The key frame that shows the place again, and the one that showed it before; 0 if it is about the
-    /// camera.
+    /// The key frame that shows the place again, and the one that showed it before; 0 if it is about the camera.
     #[prost(uint64, tag = "1")]
     pub keyframe: u64,
     #[prost(uint64, tag = "2")]
@@ -255,8 +254,7 @@ pub struct MapCorrection {
     /// Points of the place that were found again.
     #[prost(uint32, tag = "3")]
     pub n_matches: u32,
-    /// The submap that became part of another one, and that one; absent where a loop within a submap was
-    /// closed.
+    /// The submap that became part of another one, and that one; absent where a loop within a submap was closed.
     #[prost(uint32, optional, tag = "4")]
     pub submap_gone: ::core::option::Option<u32>,
     #[prost(uint32, optional, tag = "5")]
@@ -276,9 +274,8 @@ pub struct CameraCorrection {
     pub centre_x: f64,
     #[prost(double, tag = "3")]
     pub centre_y: f64,
-    /// The map was adjusted to that camera. Otherwise it is more than a calibration can be wrong by: it is
-    /// used as it was given, and should be looked at; images that were resized or cropped, or a lens
-    /// described wrongly, show in this way.
+    /// The map was adjusted to that camera. Otherwise it is more than a calibration can be wrong by: it is used as it was given,
+    /// and should be looked at; images that were resized or cropped, or a lens described wrongly, show in this way.
     #[prost(bool, tag = "4")]
     pub adopted: bool,
 }
@@ -342,8 +339,7 @@ pub struct OpenStream {
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Frame {
-    /// Counts up from the session's `next_sequence`; gaps are allowed, repeats are answered but not tracked
-    /// twice.
+    /// Counts up from the session's `next_sequence`; gaps are allowed, repeats are answered but not tracked twice.
     #[prost(uint64, tag = "1")]
     pub sequence: u64,
     /// Strictly increasing within a session.
@@ -593,8 +589,8 @@ pub struct Point {
     #[prost(uint32, tag = "4")]
     pub n_observations: u32,
 }
-/// Which lines; every condition given must hold for the part of the line that was seen. Lengths are as the
-/// session's scale says.
+/// Which lines; every condition given must hold for the part of the line that was seen. Lengths are as the session's scale
+/// says.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct QueryLinesRequest {
     #[prost(string, tag = "1")]
@@ -636,8 +632,8 @@ pub struct Line {
     pub start: ::core::option::Option<Vector3>,
     #[prost(message, optional, tag = "4")]
     pub end: ::core::option::Option<Vector3>,
-    /// Plücker coordinates of the infinite line: its direction, of unit length, and its moment, a point on it
-    /// times the direction.
+    /// Plücker coordinates of the infinite line: its direction, of unit length, and its moment, a point on it times the
+    /// direction.
     #[prost(message, optional, tag = "5")]
     pub direction: ::core::option::Option<Vector3>,
     #[prost(message, optional, tag = "6")]
@@ -672,8 +668,8 @@ pub struct Primitive {
     /// Unit vector in the world; it means the same as its negative.
     #[prost(message, optional, tag = "3")]
     pub direction: ::core::option::Option<Vector3>,
-    /// Covariance of the direction, nine numbers row by row, radians squared. Of rank two: nothing is
-    /// uncertain along the direction.
+    /// Covariance of the direction, nine numbers row by row, radians squared. Of rank two: nothing is uncertain along the
+    /// direction.
     #[prost(double, repeated, tag = "4")]
     pub covariance: ::prost::alloc::vec::Vec<f64>,
     /// Standard deviation of the direction where it is least certain, degrees.
@@ -730,8 +726,8 @@ pub struct ExportMapRequest {
     pub session_id: ::prost::alloc::string::String,
     #[prost(enumeration = "MapFormat", tag = "2")]
     pub format: i32,
-    /// This submap only; submaps do not share a frame of reference. Left out, JSON has all of them, and the
-    /// others the one with the most key frames.
+    /// This submap only; submaps do not share a frame of reference. Left out, JSON has all of them, and the others the one
+    /// with the most key frames.
     #[prost(uint32, optional, tag = "3")]
     pub submap_id: ::core::option::Option<u32>,
 }
@@ -1013,8 +1009,8 @@ pub enum MapFormat {
     Ply = 1,
     /// One object with key frames, points, lines and primitives.
     Json = 2,
-    /// The files of COLMAP's text model, which puts the origin at the corner of the top-left pixel. Each is
-    /// as of its own commit: fetch the three while nobody streams.
+    /// The files of COLMAP's text model, which puts the origin at the corner of the top-left pixel. Each is as of its own
+    /// commit: fetch the three while nobody streams.
     ColmapCameras = 3,
     ColmapImages = 4,
     ColmapPoints3d = 5,
@@ -1220,8 +1216,8 @@ pub mod slam_service_client {
                 .insert(GrpcMethod::new("monoslam.v1.SlamService", "DeleteSession"));
             self.inner.unary(req, path, codec).await
         }
-        /// Changes a session's options; they hold from its next stream on. Fails with FAILED_PRECONDITION
-        /// while a writer is connected.
+        /// Changes a session's options; they hold from its next stream on. Fails with FAILED_PRECONDITION while a writer is
+        /// connected.
         pub async fn update_session(
             &mut self,
             request: impl tonic::IntoRequest<super::UpdateSessionRequest>,
@@ -1265,8 +1261,8 @@ pub mod slam_service_client {
                 .insert(GrpcMethod::new("monoslam.v1.SlamService", "SetScale"));
             self.inner.unary(req, path, codec).await
         }
-        /// Locates one image in a stored session's map, as of its last commit, without changing anything;
-        /// also while a writer is connected. A place that is not found is an answer, not an error.
+        /// Locates one image in a stored session's map, as of its last commit, without changing anything; also while a writer
+        /// is connected. A place that is not found is an answer, not an error.
         pub async fn localize(
             &mut self,
             request: impl tonic::IntoRequest<super::LocalizeRequest>,
@@ -1316,9 +1312,8 @@ pub mod slam_service_client {
                 .insert(GrpcMethod::new("monoslam.v1.SlamService", "OptimizeMap"));
             self.inner.unary(req, path, codec).await
         }
-        /// What happens in a session from now on: its state first, then an event for each frame and each
-        /// change of the map, until the client ends the call or the server shuts down. A watcher that is too
-        /// slow is told how much it missed.
+        /// What happens in a session from now on: its state first, then an event for each frame and each change of the map,
+        /// until the client ends the call or the server shuts down. A watcher that is too slow is told how much it missed.
         pub async fn watch_map(
             &mut self,
             request: impl tonic::IntoRequest<super::WatchMapRequest>,
@@ -1343,10 +1338,9 @@ pub mod slam_service_client {
                 .insert(GrpcMethod::new("monoslam.v1.SlamService", "WatchMap"));
             self.inner.server_streaming(req, path, codec).await
         }
-        /// The questions about a map below are answered from the database, as of the session's last commit,
-        /// whether the session is in memory or not. Rows come in the order of their ids, some hundreds in
-        /// each message, as fast as the client reads them; whoever has enough cancels the call. No row at all
-        /// is an empty stream.
+        /// The questions about a map below are answered from the database, as of the session's last commit, whether the session
+        /// is in memory or not. Rows come in the order of their ids, some hundreds in each message, as fast as the client reads
+        /// them; whoever has enough cancels the call. No row at all is an empty stream.
         pub async fn list_keyframes(
             &mut self,
             request: impl tonic::IntoRequest<super::ListKeyframesRequest>,
@@ -1495,8 +1489,7 @@ pub mod slam_service_client {
         }
         /// Streams frames into a session. The first message must be `open`; each further one is a frame.
         /// The server answers `open` with `opened`, and each frame with exactly one of `result`, `dropped`
-        /// (REALTIME only) or `rejected` (a frame that cannot be used: the stream goes on), in the order of
-        /// arrival.
+        /// (REALTIME only) or `rejected` (a frame that cannot be used: the stream goes on), in the order of arrival.
         pub async fn stream_frames(
             &mut self,
             request: impl tonic::IntoStreamingRequest<
@@ -1563,8 +1556,8 @@ pub mod slam_service_server {
             tonic::Response<super::DeleteSessionResponse>,
             tonic::Status,
         >;
-        /// Changes a session's options; they hold from its next stream on. Fails with FAILED_PRECONDITION
-        /// while a writer is connected.
+        /// Changes a session's options; they hold from its next stream on. Fails with FAILED_PRECONDITION while a writer is
+        /// connected.
         async fn update_session(
             &self,
             request: tonic::Request<super::UpdateSessionRequest>,
@@ -1574,8 +1567,8 @@ pub mod slam_service_server {
             &self,
             request: tonic::Request<super::SetScaleRequest>,
         ) -> std::result::Result<tonic::Response<super::Session>, tonic::Status>;
-        /// Locates one image in a stored session's map, as of its last commit, without changing anything;
-        /// also while a writer is connected. A place that is not found is an answer, not an error.
+        /// Locates one image in a stored session's map, as of its last commit, without changing anything; also while a writer
+        /// is connected. A place that is not found is an answer, not an error.
         async fn localize(
             &self,
             request: tonic::Request<super::LocalizeRequest>,
@@ -1597,9 +1590,8 @@ pub mod slam_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// What happens in a session from now on: its state first, then an event for each frame and each
-        /// change of the map, until the client ends the call or the server shuts down. A watcher that is too
-        /// slow is told how much it missed.
+        /// What happens in a session from now on: its state first, then an event for each frame and each change of the map,
+        /// until the client ends the call or the server shuts down. A watcher that is too slow is told how much it missed.
         async fn watch_map(
             &self,
             request: tonic::Request<super::WatchMapRequest>,
@@ -1610,10 +1602,9 @@ pub mod slam_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// The questions about a map below are answered from the database, as of the session's last commit,
-        /// whether the session is in memory or not. Rows come in the order of their ids, some hundreds in
-        /// each message, as fast as the client reads them; whoever has enough cancels the call. No row at all
-        /// is an empty stream.
+        /// The questions about a map below are answered from the database, as of the session's last commit, whether the session
+        /// is in memory or not. Rows come in the order of their ids, some hundreds in each message, as fast as the client reads
+        /// them; whoever has enough cancels the call. No row at all is an empty stream.
         async fn list_keyframes(
             &self,
             request: tonic::Request<super::ListKeyframesRequest>,
@@ -1690,8 +1681,7 @@ pub mod slam_service_server {
             + 'static;
         /// Streams frames into a session. The first message must be `open`; each further one is a frame.
         /// The server answers `open` with `opened`, and each frame with exactly one of `result`, `dropped`
-        /// (REALTIME only) or `rejected` (a frame that cannot be used: the stream goes on), in the order of
-        /// arrival.
+        /// (REALTIME only) or `rejected` (a frame that cannot be used: the stream goes on), in the order of arrival.
         async fn stream_frames(
             &self,
             request: tonic::Request<tonic::Streaming<super::StreamFramesRequest>>,

@@ -12,6 +12,8 @@ use futures_util::stream::{self, BoxStream, StreamExt};
 use proto::v1;
 use proto::v1::export_map_response::Part;
 use slam::map::SubmapId;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
 /// The server's side of an answer.
@@ -114,16 +116,32 @@ pub async fn export(
 }
 
 /// Each batch of rows as a message.
-fn rows<T: 'static, R: 'static, M: Send + 'static>(
+fn rows<T: Send + 'static, R: 'static, M: Send + 'static>(
     batches: Batches<T>,
     row: fn(T) -> R,
     message: impl Fn(Vec<R>) -> M + Send + 'static,
 ) -> Rows<M> {
-    let batches = batches.map(move |batch| {
+    let batches = read_ahead(batches).map(move |batch| {
         let rows = batch.map_err(Status::from)?;
         Ok::<_, Status>(message(rows.into_iter().map(row).collect()))
     });
     batches.boxed()
+}
+
+/// The same batches, read by a task of their own, one ahead of the caller.
+///
+/// The transport asks for no more while a client does not read. A batch that is being read from the database
+/// at that moment would keep its reader for as long.
+fn read_ahead<T: Send + 'static>(mut batches: Batches<T>) -> Batches<T> {
+    let (sender, receiver) = mpsc::channel(1);
+    tokio::spawn(async move {
+        while let Some(batch) = batches.next().await {
+            if sender.send(batch).await.is_err() {
+                break;
+            }
+        }
+    });
+    ReceiverStream::new(receiver).boxed()
 }
 
 fn place(

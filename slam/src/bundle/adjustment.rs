@@ -139,7 +139,7 @@ impl Adjustment {
         self.problem.enable_inliers(self.line_group, chi2_95(2));
     }
 
-    /// What came of it. VisibilityCounts that disagree with it are named.
+    /// What came of it. Observations that disagree with it are named.
     pub fn result(&self) -> Adjusted {
         let value = |id: &KeyframeId| Some((*id, self.pose(*id)?));
         let disagrees = |chi2: Option<f64>| chi2.is_none_or(|chi2| chi2 > chi2_95(2));

@@ -8,8 +8,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Moves the keyframe, its neighbors and the landmarks they see; other keyframes that see those stay where
-/// they are. VisibilityCounts that disagree in the end are removed. Stops early, with what is reached, when `abort`
-/// is set.
+/// they are. Observations that disagree in the end are removed. Stops early, with what is reached, when
+/// `abort` is set.
 ///
 /// Stage one moves them by points and lines alone. Stage two, where there are primitives in sight, adds what
 /// these say, and is taken back where it would turn the new keyframe by more than its own uncertainty

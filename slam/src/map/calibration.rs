@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 impl Map {
     /// Takes over how the camera differs from its calibration. Pixels stay as they are; the rays of all
-    /// keyframes change, and with them the directions of their vanishing points. Poses and landmarks are left as
-    /// they are. A correction that leaves no camera is refused.
+    /// keyframes change, and with them the directions of their vanishing points. Poses and landmarks are left
+    /// as they are. A correction that leaves no camera is refused.
     pub(crate) fn set_correction(&mut self, correction: PinholeCorrection) {
         if !leaves_a_camera(&correction) {
             return;

@@ -96,7 +96,7 @@ pub struct FramePose {
     /// The keyframe the pose is relative to; it may have been removed since.
     pub reference: KeyframeId,
     /// The frame's camera from the reference keyframe's camera; translation in the reference's own
-    /// [unit](super::Keyframe::unit).
+    /// [local scale](super::Keyframe::local_scale).
     pub camera_from_reference: Pose,
 }
 

@@ -1,8 +1,8 @@
 //! Sim(3) corrections of parts of a map, and what is anchored to what was moved.
 //!
 //! A correction may change the scale of a part of the map. Frames of the trajectory are kept relative to
-//! keyframes by others, and stay right because their offsets are in the keyframe's own [unit](Keyframe::unit),
-//! which follows.
+//! keyframes by others, and stay right because their offsets are in the keyframe's own [local
+//! scale](Keyframe::local_scale), which follows.
 
 use super::{FramePose, Keyframe, KeyframeId, LineId, LinePlace, Map, PointId, PrimitiveId, SubmapId};
 use geometry::nalgebra::{Matrix3, SymmetricEigen, Vector3};
@@ -28,7 +28,7 @@ impl Map {
         self.resolve(id, Pose::identity()).map(|(anchor, _)| anchor)
     }
 
-    /// Where a camera is relative to a keyframe, in the keyframe's own unit.
+    /// Where a camera is relative to a keyframe, in the keyframe's own local scale.
     pub(crate) fn place_beside(&self, reference: KeyframeId, camera_from_world: &Pose) -> Option<FramePose> {
         let anchor = self.anchor_of(reference)?;
         let camera_from_reference = *camera_from_world * self.camera_from_world(reference)?.inverse();
@@ -177,7 +177,7 @@ impl Map {
     }
 }
 
-/// A pose whose lengths are read as `unit` map units each.
+/// A pose whose lengths are read as `local_scale` map units each.
 fn at_local_scale(pose: &Pose, local_scale: f64) -> Pose {
     Pose::new(pose.rotation, pose.translation * local_scale)
 }

@@ -19,9 +19,9 @@ pub struct Keyframe {
     pub timestamp_ns: i64,
     /// Pose; lengths in map units.
     pub camera_from_world: Pose,
-    /// Map units per unit in which the offsets of the frames that hang on this keyframe are given. One,
-    /// until a correction changes the scale of the map around the keyframe; handed on to the keyframes made
-    /// beside it.
+    /// Local scale: map units per unit in which the offsets of the frames that hang on this keyframe are
+    /// given. One, until a correction changes the scale of the map around the keyframe; handed on to the
+    /// keyframes made beside it.
     pub local_scale: f64,
     /// What the front end measured; never changes.
     pub features: Arc<FrameFeatures>,

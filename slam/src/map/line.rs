@@ -22,7 +22,7 @@ pub struct LineLandmark {
     pub descriptor: Descriptor,
     /// The keyframe that made the line.
     pub created_by: KeyframeId,
-    /// VisibilityCounts in the order of the keyframes' ids, one per keyframe; `feature_idx` counts the keyframe's
+    /// Observations in the order of the keyframes' ids, one per keyframe; `feature_idx` counts the keyframe's
     /// [`lines`](crate::features::FrameFeatures::lines).
     pub observations: Vec<Observation>,
     /// Frames in which the line should have been visible.

@@ -30,7 +30,7 @@ pub struct PointLandmark {
     pub distance_range: (f64, f64),
     /// The keyframe that made the point.
     pub created_by: KeyframeId,
-    /// VisibilityCounts in the order of the keyframes' ids, one per keyframe.
+    /// Observations in the order of the keyframes' ids, one per keyframe.
     pub observations: Vec<Observation>,
     /// Frames in which the point should have been visible, and in which it was found.
     pub n_visible: u32,

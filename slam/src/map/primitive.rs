@@ -40,7 +40,7 @@ pub struct GlobalPrimitive {
     pub covariance: Matrix3<f64>,
     /// The keyframe that made the primitive.
     pub created_by: KeyframeId,
-    /// VisibilityCounts in the order of the keyframes' ids, one per keyframe.
+    /// Observations in the order of the keyframes' ids, one per keyframe.
     pub observations: Vec<PrimitiveObservation>,
 }
 

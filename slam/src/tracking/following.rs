@@ -24,7 +24,8 @@ pub(super) struct LastFrame {
     pub frame: TrackedFrame,
     pub image: Option<Arc<GrayImage>>,
     pub place: FramePose,
-    /// The [unit](crate::map::Keyframe::unit) of the reference keyframe when the motion was measured.
+    /// The [local scale](crate::map::Keyframe::local_scale) of the reference keyframe when the motion was
+    /// measured.
     pub local_scale: f64,
     /// `camera_now_from_camera_before` over the last interval, and that interval, nanoseconds.
     pub motion: Option<(Pose, i64)>,

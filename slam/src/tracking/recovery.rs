@@ -20,7 +20,7 @@ pub(super) struct LastSeen {
     timestamp_ns: i64,
     /// Map units per nanosecond, the mean of late.
     speed: f64,
-    /// The unit of the reference keyframe that the speed is in.
+    /// The local scale of the reference keyframe that the speed is in.
     local_scale: f64,
 }
 

@@ -80,6 +80,24 @@ async fn deleting_one_session_leaves_the_others() {
 }
 
 #[tokio::test]
+async fn a_session_of_more_rows_than_go_at_once_is_deleted() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = store_with_session(folder.path()).await;
+    let large = Size { n_keyframes: 100, n_keypoints: 1200, n_points: 30_000 };
+    store.save_update("s", &first_update(&parts(1, large)), TRACKED, &[]).await.unwrap();
+    store.delete_session("s").await.unwrap();
+    assert_eq!(store.check().await.unwrap(), []);
+    store.close().await.unwrap();
+    let path = folder.path().join("maps.db");
+    let connection = sqlx::SqlitePool::connect(path.to_str().unwrap()).await.unwrap();
+    for table in ["points", "point_cells", "line_cells"] {
+        let count = sqlx::AssertSqlSafe(format!("SELECT count(*) FROM {table}"));
+        let n_rows: i64 = sqlx::query_scalar(count).fetch_one(&connection).await.unwrap();
+        assert_eq!(n_rows, 0, "{table}");
+    }
+}
+
+#[tokio::test]
 async fn an_interrupted_deletion_is_finished_when_the_database_is_opened() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("maps.db");

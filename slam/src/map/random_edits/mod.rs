@@ -171,7 +171,7 @@ fn primitive_id(map: &Map, index: Index) -> PrimitiveId {
     PrimitiveId::from_index(index.index(map.last_ids().primitive as usize + 1))
 }
 
-/// VisibilityCounts by keyframes of one submap.
+/// Observations by keyframes of one submap.
 fn visibility(map: &Map, submap: SubmapId, seen: &[(Index, u32)]) -> Vec<Observation> {
     seen.iter()
         .map(|(keyframe, feature_idx)| Observation {

@@ -1,8 +1,8 @@
 //! Whether sightings move through the images as they truly should.
 //!
-//! What hands the scale of a map on are landmarks that move through the image as the camera does. VisibilityCounts
-//! that run ahead of that motion, or lag behind it, by a thousandth make every step too long or too short by
-//! as much.
+//! What hands the scale of a map on are landmarks that move through the image as the camera does.
+//! Observations that run ahead of that motion, or lag behind it, by a thousandth make every step too long or
+//! too short by as much.
 
 use crate::recording::Recording;
 use geometry::Pose;
