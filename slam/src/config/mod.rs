@@ -214,6 +214,10 @@ pub struct TrackingConfig {
     /// `plentiful_inliers`; a weak one needs half of it. Default 0.2: true poses reach 0.3 and more, false
     /// ones 0.01.
     pub min_found_share: f64,
+    /// Share of the landmarks that could be found again below which a pose that was followed has to compete
+    /// with one found by descriptors alone. Default 0.4: in blur and after quick turns the few that agree with
+    /// a wrong pose are a fifth.
+    pub doubtful_found_share: f64,
     /// Landmarks that are enough for a good pose however many were expected, and half of it for a weak one.
     /// Default 60: in crowded places 35 have been seen to agree by chance, while blur and people in the way
     /// may hide all but some.
@@ -249,6 +253,7 @@ impl Default for TrackingConfig {
             min_inliers: 10,
             min_weak_inliers: 6,
             min_found_share: 0.2,
+            doubtful_found_share: 0.4,
             plentiful_inliers: 60,
             max_rotation_sigma_deg: 0.4,
             max_position_sigma_share: 0.01,

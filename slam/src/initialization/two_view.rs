@@ -20,12 +20,18 @@ const PARALLAX_RANK: usize = 50;
 /// Rays closer to parallel than this tell nothing of the sign of the depth, as a cosine.
 const PARALLEL_COSINE: f64 = 0.999_98;
 
+/// A match of something at infinity is within this of where the rotation puts it, squared standard deviations:
+/// the angle of [`PARALLEL_COSINE`] at usual focal lengths, and the noise of both views.
+const FAR_CHI2: f64 = 16.0;
+
 /// A motion with the points it gives.
 #[derive(Clone, Debug)]
 pub(super) struct TwoViewMotion {
     pub second_from_first: Pose,
     /// Index of the match, position in the first camera's frame (unit baseline).
     pub points: Vec<(usize, Vector3<f64>)>,
+    /// Matches that agree: the points, and what is too far away to have a depth over this baseline.
+    pub n_agreeing: usize,
     pub parallax_deg: f64,
 }
 
@@ -54,19 +60,19 @@ pub(super) fn solve(
     let mut refined = refined.into_iter();
     let nothing = InitializationWait::Ambiguous { n_agreeing: 0, n_runner_up: 0, n_matches };
     let (best_cost, best) = refined.next().ok_or(nothing)?;
-    let n_agreeing = best.points.len();
+    let n_agreeing = best.n_agreeing;
     // Nearly equal motions are the same motion found twice.
     let runner_up = refined.find(|(_, other)| differs(&best.second_from_first, &other.second_from_first));
     let is_rivalled =
         runner_up.as_ref().is_some_and(|(cost, _)| *cost < config.min_runner_up_cost_ratio * best_cost);
-    let n_runner_up = runner_up.map_or(0, |(_, other)| other.points.len());
+    let n_runner_up = runner_up.map_or(0, |(_, other)| other.n_agreeing);
     // Without parallax every motion of the same rotation explains the matches, so that is the reason to give.
     if best.parallax_deg < config.min_parallax_deg {
         let (parallax_deg, required_deg) = (best.parallax_deg, config.min_parallax_deg);
         return Err(InitializationWait::TooLittleParallax { parallax_deg, required_deg });
     }
-    let too_few =
-        n_agreeing < config.min_points || (n_agreeing as f64) < config.min_inlier_share * n_matches as f64;
+    let too_few = best.points.len() < config.min_points
+        || (n_agreeing as f64) < config.min_inlier_share * n_matches as f64;
     if is_rivalled || too_few {
         return Err(InitializationWait::Ambiguous { n_agreeing, n_runner_up, n_matches });
     }
@@ -87,10 +93,10 @@ const DISTINCT_ANGLE: f64 = 0.1;
 fn promising(motions: Vec<Pose>, correspondences: &[Correspondence]) -> Vec<Pose> {
     let mut judged: Vec<TwoViewMotion> =
         motions.iter().map(|motion| judge(motion, correspondences)).collect();
-    judged.sort_by_key(|motion| std::cmp::Reverse(motion.points.len()));
-    let min_points = judged.first().map_or(0.0, |best| PROMISING_SHARE * best.points.len() as f64);
+    judged.sort_by_key(|motion| std::cmp::Reverse(motion.n_agreeing));
+    let min_agreeing = judged.first().map_or(0.0, |best| PROMISING_SHARE * best.n_agreeing as f64);
     let mut chosen: Vec<Pose> = Vec::new();
-    for motion in judged.into_iter().filter(|motion| motion.points.len() as f64 >= min_points) {
+    for motion in judged.into_iter().filter(|motion| motion.n_agreeing as f64 >= min_agreeing) {
         let is_new = chosen.iter().all(|other| differs(&motion.second_from_first, other));
         if is_new && chosen.len() < MAX_PROMISING {
             chosen.push(motion.second_from_first);
@@ -180,33 +186,47 @@ fn unit_baseline(pose: Pose) -> Pose {
     Pose::new(pose.rotation, pose.translation.normalize())
 }
 
-/// Triangulates every match under a motion and keeps the points that make sense.
+/// Triangulates every match under a motion and keeps the points that make sense. A match whose rays are
+/// parallel to within its noise is of something far away: it agrees and gives no point.
 fn judge(second_from_first: &Pose, correspondences: &[Correspondence]) -> TwoViewMotion {
     let mut points = Vec::new();
     let mut parallaxes = Vec::new();
+    let mut n_far = 0;
     let second_center = second_from_first.center();
     for (match_idx, c) in correspondences.iter().enumerate() {
-        let ray = second_from_first.rotation.inverse() * c.second_bearing;
-        let identity = Pose::identity();
-        let point =
-            triangulation::two_view(&identity, &c.first_bearing, second_from_first, &c.second_bearing);
-        let Some(point) = point else { continue };
-        let in_second = second_from_first.transform(&point);
-        if point.z <= 0.0 || in_second.z <= 0.0 || ray.dot(&c.first_bearing) > PARALLEL_COSINE {
-            continue;
+        match triangulate(second_from_first, c) {
+            Some(point) => {
+                parallaxes.push(triangulation::parallax(&Vector3::zeros(), &second_center, &point));
+                points.push((match_idx, point));
+            }
+            None => n_far += usize::from(is_far(second_from_first, c)),
         }
-        let chi2_first = (point.xy() / point.z - c.first).norm_squared() / c.first_variance;
-        let chi2_second = (in_second.xy() / in_second.z - c.second).norm_squared() / c.second_variance;
-        if chi2_first.max(chi2_second) > MAX_REPROJECTION_CHI2 {
-            continue;
-        }
-        parallaxes.push(triangulation::parallax(&Vector3::zeros(), &second_center, &point));
-        points.push((match_idx, point));
     }
     parallaxes.sort_by(|a, b| b.total_cmp(a));
     let rank = PARALLAX_RANK.min(parallaxes.len()).saturating_sub(1);
     let parallax_deg = parallaxes.get(rank).map_or(0.0, |parallax| parallax.to_degrees());
-    TwoViewMotion { second_from_first: *second_from_first, points, parallax_deg }
+    let n_agreeing = points.len() + n_far;
+    TwoViewMotion { second_from_first: *second_from_first, points, n_agreeing, parallax_deg }
+}
+
+/// The point of a match, if it has a depth and both views agree with it.
+fn triangulate(second_from_first: &Pose, c: &Correspondence) -> Option<Vector3<f64>> {
+    let ray = second_from_first.rotation.inverse() * c.second_bearing;
+    let identity = Pose::identity();
+    let point = triangulation::two_view(&identity, &c.first_bearing, second_from_first, &c.second_bearing)?;
+    let in_second = second_from_first.transform(&point);
+    if point.z <= 0.0 || in_second.z <= 0.0 || ray.dot(&c.first_bearing) > PARALLEL_COSINE {
+        return None;
+    }
+    let chi2_first = (point.xy() / point.z - c.first).norm_squared() / c.first_variance;
+    let chi2_second = (in_second.xy() / in_second.z - c.second).norm_squared() / c.second_variance;
+    (chi2_first.max(chi2_second) <= MAX_REPROJECTION_CHI2).then_some(point)
+}
+
+/// Whether a match moved as the rotation alone moves what is at infinity.
+fn is_far(second_from_first: &Pose, c: &Correspondence) -> bool {
+    let seen = second_from_first.rotation * c.first_bearing;
+    seen.z > 0.0 && (seen.xy() / seen.z - c.second).norm_squared() / c.second_variance <= FAR_CHI2
 }
 
 struct EssentialEstimator<'a> {

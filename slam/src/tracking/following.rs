@@ -37,7 +37,77 @@ struct Followed {
     n_inliers: usize,
 }
 
+/// A frame placed by the local map.
+pub(super) struct InLocalMap {
+    pub frame: TrackedFrame,
+    pub placement: Placement,
+    /// Points that could have been found.
+    pub n_expected: usize,
+}
+
+impl InLocalMap {
+    fn n_inliers(&self) -> usize {
+        self.placement.inliers.total()
+    }
+
+    /// Whether so little of what should be there was found that the pose may be a wrong one with which a few
+    /// landmarks agree.
+    fn is_doubtful(&self, min_share: f64) -> bool {
+        (self.n_inliers() as f64) < min_share * self.n_expected as f64
+    }
+}
+
 impl Tracker {
+    /// Follows a frame into the local map. Where little of that is found, the pose that was followed may be
+    /// wrong in a way that the landmarks it was found by cannot tell: places recognized by descriptors alone
+    /// then compete with it, and the pose with which the most landmarks agree wins.
+    pub(super) fn follow_in_map(&mut self, view: &View, map: &Map) -> Option<InLocalMap> {
+        let last = self.last.take()?;
+        let followed = self.follow(&last, view, map).map(|frame| self.place_in_local_map(frame, map));
+        let min_share = self.config.tracking.doubtful_found_share;
+        let found = match followed {
+            Some(found) if !found.is_doubtful(min_share) => Some(found),
+            found => self.compete(found, &last, view, map),
+        };
+        self.last = Some(last);
+        found
+    }
+
+    /// The better of a doubtful pose and those found from the keyframes that were last seen, by descriptors.
+    fn compete(
+        &mut self,
+        mut best: Option<InLocalMap>,
+        last: &LastFrame,
+        view: &View,
+        map: &Map,
+    ) -> Option<InLocalMap> {
+        let mut reference_ids = vec![last.frame.reference];
+        reference_ids.extend(best.as_ref().map(|found| found.frame.reference));
+        reference_ids.dedup();
+        for id in reference_ids {
+            let Some(keyframe) = map.keyframe(id) else { continue };
+            let Some(frame) =
+                self.relocalizer.as_mut().and_then(|relocalizer| relocalizer.try_place(view, keyframe, map))
+            else {
+                continue;
+            };
+            let before = self.visibility.clone();
+            let found = self.place_in_local_map(frame, map);
+            let n_best = best.as_ref().map_or(0, InLocalMap::n_inliers);
+            if found.n_inliers() > n_best {
+                best = Some(found);
+            } else {
+                self.visibility = before;
+            }
+        }
+        best
+    }
+
+    fn place_in_local_map(&mut self, mut frame: TrackedFrame, map: &Map) -> InLocalMap {
+        let (placement, n_expected) = self.track_local_map(&mut frame, map);
+        InLocalMap { frame, placement, n_expected }
+    }
+
     /// By the motion so far, or, where little is found by that, by what the reference keyframe sees or by
     /// the images.
     pub(super) fn follow(&self, last: &LastFrame, view: &View, map: &Map) -> Option<TrackedFrame> {

@@ -173,10 +173,9 @@ impl Tracker {
             let reason = LostReason::TooFewFeatures { n_keypoints, n_segments, n_required };
             return self.lose(view.timestamp_ns, reason);
         }
-        if let Some(mut frame) = self.last.as_ref().and_then(|last| self.follow(last, view, map)) {
-            let (placement, n_expected) = self.track_local_map(&mut frame, map);
-            let outcome = judge(&placement, n_expected, self.is_coasting(), &self.config.tracking);
-            return self.conclude(frame, placement.inliers, outcome, false, map);
+        if let Some(found) = self.follow_in_map(view, map) {
+            let outcome = judge(&found.placement, found.n_expected, self.is_coasting(), &self.config.tracking);
+            return self.conclude(found.frame, found.placement.inliers, outcome, false, map);
         }
         let found = self.relocalize(view, map, None);
         let n_candidates = self.relocalizer.as_ref().map_or(0, Relocalizer::n_candidates);
