@@ -62,6 +62,10 @@ pub struct SlamConfig {
     /// Images wider than this are scaled down to it, and the calibration with them, pixels. Default 1280: the
     /// front end's time grows with the area, and corners of larger images are no better located.
     pub working_width_px: u32,
+    /// Images of fewer pixels than this are worked on at twice their width and height; 0 for none. Default
+    /// 160 000, half of VGA: corners are looked for in cells, patches and levels that are meant for such a
+    /// size. KITTI 00 at 416 x 128: 3.6 % of the path became 0.5.
+    pub enlarge_below_px: u32,
     /// The extractor of points.
     pub orb: OrbConfig,
     /// Initialization: the first map.
@@ -97,6 +101,7 @@ impl Default for SlamConfig {
             seed: 0,
             features: FeatureSwitches::default(),
             working_width_px: 1280,
+            enlarge_below_px: 160_000,
             orb: OrbConfig::default(),
             initialization: InitializationConfig::default(),
             tracking: TrackingConfig::default(),
@@ -422,6 +427,9 @@ impl Default for MappingConfig {
     }
 }
 
+/// How many times as wide and as high small images are worked on.
+const ENLARGEMENT: u32 = 2;
+
 /// A field of the configuration that cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{field}: {reason}")]
@@ -481,8 +489,13 @@ impl SlamConfig {
     }
 
     /// The camera the engine works with: the session's, scaled down where its images are wider than the
-    /// working width.
+    /// working width, and up where they are small.
     pub fn working_camera(&self, camera: &Camera) -> Camera {
+        if camera.width().saturating_mul(camera.height()) < self.enlarge_below_px
+            && ENLARGEMENT * camera.width() <= self.working_width_px
+        {
+            return camera.scaled(f64::from(ENLARGEMENT), f64::from(ENLARGEMENT));
+        }
         if camera.width() <= self.working_width_px {
             return camera.clone();
         }

@@ -13,6 +13,7 @@ use line_stage::LineStage;
 use lines::LineFrontEnd;
 use std::sync::Arc;
 use vision::lines::LineTrackingStatistics;
+use vision::scale::BilinearResizer;
 use vision::{GrayImage, OrbExtractor, scale};
 
 /// Extracts features of one stream of images; follows lines from image to image.
@@ -53,7 +54,12 @@ impl FrontEnd {
         if (image.width(), image.height()) == (width, height) {
             return image;
         }
-        scale::resize_area(&image, width, height)
+        if width < image.width() {
+            return scale::resize_area(&image, width, height);
+        }
+        let mut enlarged = GrayImage::default();
+        BilinearResizer::default().resize(&image, width, height, &mut enlarged);
+        enlarged
     }
 
     /// Keypoints and lines of an image of the working size, looked for beside each other unless all is to be

@@ -6,6 +6,7 @@ use super::Tracker;
 use super::frame::TrackedFrame;
 use super::pose::{Placement, place_frame};
 use crate::features::View;
+use crate::landmarks::VisibilityCounts;
 use crate::map::{FramePose, Map};
 use crate::matching::{Expected, match_keyframe, search_by_motion};
 use geometry::Pose;
@@ -63,11 +64,12 @@ impl Tracker {
     /// then compete with it, and the pose with which the most landmarks agree wins.
     pub(super) fn follow_in_map(&mut self, view: &View, map: &Map) -> Option<InLocalMap> {
         let last = self.last.take()?;
+        let counts = self.visibility.clone();
         let followed = self.follow(&last, view, map).map(|frame| self.place_in_local_map(frame, map));
         let min_share = self.config.tracking.doubtful_found_share;
         let found = match followed {
             Some(found) if !found.is_doubtful(min_share) => Some(found),
-            found => self.compete(found, &last, view, map),
+            found => self.compete(found, &last, view, map, counts),
         };
         self.last = Some(last);
         found
@@ -80,6 +82,7 @@ impl Tracker {
         last: &LastFrame,
         view: &View,
         map: &Map,
+        counts: VisibilityCounts,
     ) -> Option<InLocalMap> {
         let mut reference_ids = vec![last.frame.reference];
         reference_ids.extend(best.as_ref().map(|found| found.frame.reference));
@@ -91,7 +94,8 @@ impl Tracker {
             else {
                 continue;
             };
-            let before = self.visibility.clone();
+            // Only the pose that wins counts.
+            let before = std::mem::replace(&mut self.visibility, counts.clone());
             let found = self.place_in_local_map(frame, map);
             let n_best = best.as_ref().map_or(0, InLocalMap::n_inliers);
             if found.n_inliers() > n_best {
