@@ -65,6 +65,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod contrast;
 pub mod decode;
 mod grid;
 mod image;

@@ -3,6 +3,7 @@
 
 mod line_stage;
 mod lines;
+mod weak_texture;
 
 use crate::clock::Stopwatch;
 use crate::config::{ConfigError, SlamConfig, Threading};
@@ -15,12 +16,14 @@ use std::sync::Arc;
 use vision::lines::LineTrackingStatistics;
 use vision::scale::BilinearResizer;
 use vision::{GrayImage, OrbExtractor, scale};
+use weak_texture::WeakTexture;
 
 /// Extracts features of one stream of images; follows lines from image to image.
 pub(crate) struct FrontEnd {
     camera: Camera,
     config: SlamConfig,
     extractor: OrbExtractor,
+    weak_texture: WeakTexture,
     /// Absent where lines are switched off.
     lines: Option<LineStage>,
 }
@@ -32,7 +35,8 @@ impl FrontEnd {
             .map_err(|error| ConfigError { field: "orb", reason: error.to_string() })?;
         let camera = config.working_camera(camera);
         let lines = config.features.lines.then(|| line_stage(config, &camera, first_track)).transpose()?;
-        Ok(Self { camera, config: config.clone(), extractor, lines })
+        let weak_texture = WeakTexture::new(config);
+        Ok(Self { camera, config: config.clone(), extractor, weak_texture, lines })
     }
 
     /// Takes over how the camera differs from its calibration.
@@ -43,9 +47,11 @@ impl FrontEnd {
         }
     }
 
-    /// Asks for so many keypoints per image from now on.
-    pub fn set_n_features(&mut self, n_features: usize) {
+    /// Asks for so many keypoints per image from now on. While there is no map (`is_initializing`), texture too
+    /// weak for one is amplified from then on.
+    pub fn set_n_features(&mut self, n_features: usize, is_initializing: bool) {
         self.extractor.set_n_features(n_features);
+        self.weak_texture.set_initializing(is_initializing);
     }
 
     /// The image at the size the features are looked for in.
@@ -70,9 +76,10 @@ impl FrontEnd {
         now_from_last: Option<UnitQuaternion<f64>>,
         stopwatch: &mut Stopwatch,
     ) -> (FrameFeatures, LineTrackingStatistics) {
-        let Self { camera, config, extractor, lines } = self;
+        let Self { camera, config, extractor, weak_texture, lines } = self;
         let pyramid = config.pyramid();
-        let extract_points = || FrameFeatures::from_extracted(extractor.extract(image), camera, pyramid);
+        let extract_points =
+            || FrameFeatures::from_extracted(weak_texture.extract(extractor, image), camera, pyramid);
         let Some(lines) = lines else {
             return (stopwatch.time("points", extract_points), LineTrackingStatistics::default());
         };

@@ -121,6 +121,6 @@ impl Pipeline {
             Some(_) => self.config.initialization.n_features.max(self.config.orb.n_features),
             None => self.config.orb.n_features,
         };
-        self.front_end.set_n_features(n_features);
+        self.front_end.set_n_features(n_features, self.initializer.is_some());
     }
 }

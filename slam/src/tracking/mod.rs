@@ -174,7 +174,8 @@ impl Tracker {
             return self.lose(view.timestamp_ns, reason);
         }
         if let Some(found) = self.follow_in_map(view, map) {
-            let outcome = judge(&found.placement, found.n_expected, self.is_coasting(), &self.config.tracking);
+            let outcome =
+                judge(&found.placement, found.n_expected, self.is_coasting(), &self.config.tracking);
             return self.conclude(found.frame, found.placement.inliers, outcome, false, map);
         }
         let found = self.relocalize(view, map, None);

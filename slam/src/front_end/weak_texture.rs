@@ -1,0 +1,72 @@
+//! Weak texture: where ordinary thresholds find too few corners for a map, local contrast is amplified first.
+//! [method: Weak texture]
+
+use crate::config::SlamConfig;
+use vision::contrast::ContrastAmplifier;
+use vision::{Features, GrayImage, OrbExtractor};
+
+/// Frames in a row that must be too poor, or rich again, before that is believed: one blurred image says
+/// nothing.
+const N_AGREEING_FRAMES: usize = 3;
+/// Corners above the ordinary threshold, as a multiple of what a map needs, from which on an image needs no
+/// amplification.
+const RICH_FACTOR: usize = 4;
+
+/// Decides whether a session's images are amplified. Descriptors of amplified images are matched with those of
+/// others less well, so the decision holds until the scene has clearly changed.
+#[derive(Debug)]
+pub(super) struct WeakTexture {
+    amplifier: ContrastAmplifier,
+    is_on: bool,
+    is_initializing: bool,
+    /// Frames in a row that speak for the other choice.
+    n_against: usize,
+    /// Keypoints that a first map needs.
+    min_keypoints: usize,
+    /// Gray levels from which on a corner counts as ordinary texture.
+    ordinary_threshold: f32,
+}
+
+impl WeakTexture {
+    pub fn new(config: &SlamConfig) -> Self {
+        Self {
+            amplifier: ContrastAmplifier::default(),
+            is_on: false,
+            is_initializing: false,
+            n_against: 0,
+            min_keypoints: config.initialization.min_keypoints,
+            ordinary_threshold: f32::from(config.orb.min_fast_threshold),
+        }
+    }
+
+    /// Amplification is begun only while there is no map: a map of ordinary corners would lose its own.
+    pub fn set_initializing(&mut self, is_initializing: bool) {
+        self.is_initializing = is_initializing;
+    }
+
+    /// The features of an image, amplified if the session needs it.
+    pub fn extract(&mut self, extractor: &mut OrbExtractor, image: &GrayImage) -> Features {
+        if !self.is_on {
+            let features = extractor.extract(image);
+            let is_poor = features.len() < self.min_keypoints;
+            self.count(self.is_initializing && is_poor);
+            return features;
+        }
+        let (amplified, gain) = self.amplifier.amplify(image);
+        let features = extractor.extract(&amplified);
+        let threshold = gain * self.ordinary_threshold;
+        let n_ordinary = features.keypoints.iter().filter(|corner| corner.response > threshold).count();
+        self.count(n_ordinary >= RICH_FACTOR * self.min_keypoints);
+        features
+    }
+
+    /// Takes note of whether a frame speaks against the present choice.
+    fn count(&mut self, is_against: bool) {
+        self.n_against = if is_against { self.n_against + 1 } else { 0 };
+        if self.n_against >= N_AGREEING_FRAMES {
+            self.is_on = !self.is_on;
+            self.n_against = 0;
+            tracing::info!(amplified = self.is_on, "local contrast of images");
+        }
+    }
+}
