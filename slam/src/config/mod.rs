@@ -219,10 +219,12 @@ pub struct TrackingConfig {
     /// `plentiful_inliers`; a weak one needs half of it. Default 0.2: true poses reach 0.3 and more, false
     /// ones 0.01.
     pub min_found_share: f64,
-    /// Share of the landmarks that could be found again below which a pose that was followed has to compete
-    /// with one found by descriptors alone. Default 0.4: in blur and after quick turns the few that agree with
-    /// a wrong pose are a fifth.
-    pub doubtful_found_share: f64,
+    /// A pose that was followed with fewer than this share of the landmarks of the frame before has to compete
+    /// with poses found by descriptors alone. Default 0.6: in blur and after quick turns a wrong pose has kept
+    /// half, and the right one nearly all.
+    pub doubtful_kept_share: f64,
+    /// How many times as many landmarks the other pose needs. Default 1.15: otherwise both are the same pose.
+    pub better_pose_factor: f64,
     /// Landmarks that are enough for a good pose however many were expected, and half of it for a weak one.
     /// Default 60: in crowded places 35 have been seen to agree by chance, while blur and people in the way
     /// may hide all but some.
@@ -258,7 +260,8 @@ impl Default for TrackingConfig {
             min_inliers: 10,
             min_weak_inliers: 6,
             min_found_share: 0.2,
-            doubtful_found_share: 0.4,
+            doubtful_kept_share: 0.6,
+            better_pose_factor: 1.15,
             plentiful_inliers: 60,
             max_rotation_sigma_deg: 0.4,
             max_position_sigma_share: 0.01,

@@ -50,25 +50,19 @@ impl InLocalMap {
     fn n_inliers(&self) -> usize {
         self.placement.inliers.total()
     }
-
-    /// Whether so little of what should be there was found that the pose may be a wrong one with which a few
-    /// landmarks agree.
-    fn is_doubtful(&self, min_share: f64) -> bool {
-        (self.n_inliers() as f64) < min_share * self.n_expected as f64
-    }
 }
 
 impl Tracker {
-    /// Follows a frame into the local map. Where little of that is found, the pose that was followed may be
-    /// wrong in a way that the landmarks it was found by cannot tell: places recognized by descriptors alone
-    /// then compete with it, and the pose with which the most landmarks agree wins.
+    /// Follows a frame into the local map. Where much less is found than in the frame before, the pose may be
+    /// wrong in a way that the landmarks it was found by cannot tell: poses found from keyframes by descriptors
+    /// alone then compete with it, and the one with which the most landmarks agree wins.
     pub(super) fn follow_in_map(&mut self, view: &View, map: &Map) -> Option<InLocalMap> {
         let last = self.last.take()?;
         let counts = self.visibility.clone();
         let followed = self.follow(&last, view, map).map(|frame| self.place_in_local_map(frame, map));
-        let min_share = self.config.tracking.doubtful_found_share;
+        let n_required = self.config.tracking.doubtful_kept_share * last.frame.n_landmarks() as f64;
         let found = match followed {
-            Some(found) if !found.is_doubtful(min_share) => Some(found),
+            Some(found) if found.n_inliers() as f64 >= n_required => Some(found),
             found => self.compete(found, &last, view, map, counts),
         };
         self.last = Some(last);
@@ -98,7 +92,7 @@ impl Tracker {
             let before = std::mem::replace(&mut self.visibility, counts.clone());
             let found = self.place_in_local_map(frame, map);
             let n_best = best.as_ref().map_or(0, InLocalMap::n_inliers);
-            if found.n_inliers() > n_best {
+            if found.n_inliers() as f64 > self.config.tracking.better_pose_factor * n_best as f64 {
                 best = Some(found);
             } else {
                 self.visibility = before;

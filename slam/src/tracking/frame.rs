@@ -42,6 +42,11 @@ pub(crate) struct TrackedFrame {
 }
 
 impl TrackedFrame {
+    /// Landmarks the frame sees.
+    pub fn n_landmarks(&self) -> usize {
+        self.points.iter().flatten().count() + self.lines.iter().flatten().count()
+    }
+
     /// A frame in which nothing has been recognized yet.
     pub fn blank(view: &View, camera_from_world: Pose, reference: KeyframeId, submap: SubmapId) -> Self {
         let (n_points, n_segments) = (view.features.len(), view.features.lines.len());
