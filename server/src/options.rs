@@ -3,6 +3,7 @@
 use crate::error::{ApiError, ErrorCode, FieldViolation};
 use serde::{Deserialize, Serialize};
 use slam::{FeatureSwitches, SlamConfig, Threading};
+use store::SessionRecord;
 use utoipa::ToSchema;
 
 /// Options of a session; every field left out takes the server's default.
@@ -90,6 +91,18 @@ impl SessionOptions {
             max_keyframes: changes.max_keyframes.or(self.max_keyframes),
         }
     }
+}
+
+/// The engine's configuration for a stored session.
+///
+/// # Errors
+/// With a violation per option that cannot be used.
+pub fn engine_config_of(record: &SessionRecord) -> Result<SlamConfig, ApiError> {
+    let mut config = engine_config(&SessionOptions::from(record.options.clone()))?;
+    if !record.enlarges_small_images {
+        config.enlarge_below_px = 0;
+    }
+    Ok(config)
 }
 
 /// The engine's configuration for these options.

@@ -4,7 +4,7 @@ use super::SessionId;
 use super::writer::Sink;
 use crate::clock::SystemClock;
 use crate::error::{ApiError, ErrorCode};
-use crate::options::{SessionOptions, engine_config};
+use crate::options::engine_config_of;
 use geometry::Camera;
 use slam::map::FrameState;
 use slam::{MapUpdate, Pipeline, ResumeState, SlamConfig, Threading};
@@ -57,7 +57,7 @@ impl LoadContext<'_> {
 /// If there is none, or what is stored cannot be used.
 pub async fn read(context: &LoadContext<'_>) -> Result<StoredSession, ApiError> {
     let record = context.store.get_session(context.id.as_str()).await?;
-    let config = engine_config(&SessionOptions::from(record.options))?;
+    let config = engine_config_of(&record)?;
     let LoadedSession { record, resume: state } =
         context.store.load_session(context.id.as_str(), &config).await?;
     let camera = record.checked_camera()?;

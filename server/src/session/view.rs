@@ -91,6 +91,7 @@ impl SessionView {
             camera,
             correction: _,
             options,
+            enlarges_small_images: _,
             created_at_ns,
             state,
             metres_per_unit,

@@ -512,3 +512,31 @@ impl SlamConfig {
         PyramidGeometry { n_levels: self.orb.n_levels as u8, scale_factor: f64::from(self.orb.scale_factor) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use geometry::{CameraModel, CameraParameters};
+
+    fn camera(width: u32, height: u32) -> Camera {
+        let (fx, fy, cx, cy) = (240.0, 241.0, 203.2, 62.7);
+        let model = CameraModel::Pinhole;
+        Camera::new(CameraParameters { model, width, height, fx, fy, cx, cy, distortion: Vec::new() })
+            .unwrap()
+    }
+
+    #[test]
+    fn small_images_are_worked_on_enlarged() {
+        let config = SlamConfig::default();
+        let size = |camera: &Camera| (camera.width(), camera.height());
+        assert_eq!(size(&config.working_camera(&camera(416, 128))), (832, 256));
+        assert_eq!(size(&config.working_camera(&camera(640, 480))), (640, 480));
+        assert_eq!(size(&config.working_camera(&camera(2560, 1920))), (1280, 960));
+        // A pixel's ray stays what it was.
+        let (small, large) = (camera(416, 128), config.working_camera(&camera(416, 128)));
+        let ray = |camera: &Camera, x, y| camera.pinhole().bearing(&geometry::nalgebra::Vector2::new(x, y));
+        assert!((ray(&small, 10.0, 20.0) - ray(&large, 20.5, 40.5)).norm() < 1e-12);
+        let before = SlamConfig { enlarge_below_px: 0, ..config };
+        assert_eq!(size(&before.working_camera(&camera(416, 128))), (416, 128));
+    }
+}

@@ -70,3 +70,42 @@ impl WeakTexture {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vision::OrbConfig;
+
+    /// Faint speckles of a few gray levels, or plain ones.
+    fn speckled(contrast: u8) -> GrayImage {
+        let hash = |x: u32, y: u32| (x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77)) >> 13;
+        GrayImage::from_fn(320, 240, |x, y| 100 + contrast * (hash(x / 6, y / 6) % 3) as u8)
+    }
+
+    #[test]
+    fn faint_texture_is_amplified_until_there_is_plain_texture() {
+        let mut extractor = OrbExtractor::new(OrbConfig::default()).unwrap();
+        let mut weak = WeakTexture::new(&SlamConfig::default());
+        weak.set_initializing(true);
+        for _ in 0..N_AGREEING_FRAMES {
+            assert!(weak.extract(&mut extractor, &speckled(2)).len() < 100);
+        }
+        assert!(weak.is_on);
+        weak.set_initializing(false);
+        assert!(weak.extract(&mut extractor, &speckled(2)).len() > 300);
+        for _ in 0..N_AGREEING_FRAMES {
+            weak.extract(&mut extractor, &speckled(60));
+        }
+        assert!(!weak.is_on);
+    }
+
+    #[test]
+    fn a_map_of_ordinary_corners_keeps_them() {
+        let mut extractor = OrbExtractor::new(OrbConfig::default()).unwrap();
+        let mut weak = WeakTexture::new(&SlamConfig::default());
+        for _ in 0..3 * N_AGREEING_FRAMES {
+            weak.extract(&mut extractor, &speckled(2));
+        }
+        assert!(!weak.is_on, "there was no map to begin");
+    }
+}

@@ -324,3 +324,32 @@ impl Estimator for HomographyEstimator<'_> {
         self.fit(inliers)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use geometry::nalgebra::Vector2;
+
+    const SIGMA: f64 = 1.0 / 500.0;
+
+    fn seen(motion: &Pose, point: Vector3<f64>) -> Correspondence {
+        let in_second = motion.transform(&point);
+        let of = |p: Vector3<f64>| -> Vector2<f64> { p.xy() / p.z };
+        Correspondence::of_normalized(of(point), of(in_second), SIGMA * SIGMA)
+    }
+
+    #[test]
+    fn what_is_far_away_agrees_and_gives_no_point() {
+        let motion = Pose::exp(&geometry::nalgebra::Vector6::new(0.01, -0.02, 0.005, 0.3, 0.1, -0.2));
+        let near = (0..40).map(|i| Vector3::new(f64::from(i % 8) - 4.0, f64::from(i / 8) - 2.0, 8.0));
+        let far = (0..60)
+            .map(|i| 5000.0 * Vector3::new(0.1 * f64::from(i % 9) - 0.4, 0.05 * f64::from(i / 9), 1.0));
+        let matches: Vec<Correspondence> = near.chain(far).map(|point| seen(&motion, point)).collect();
+        let judged = judge(&motion, &matches);
+        assert_eq!((judged.points.len(), judged.n_agreeing), (40, 100));
+        // Turned by another degree, what is far away disagrees.
+        let turned =
+            Pose::new(so3::exp(&Vector3::new(0.0, 0.0175, 0.0)) * motion.rotation, motion.translation);
+        assert!(judge(&turned, &matches).n_agreeing < 30);
+    }
+}

@@ -35,6 +35,9 @@ pub struct SessionRecord {
     pub correction: PinholeCorrection,
     /// The session's options.
     pub options: SessionOptions,
+    /// Whether small images are worked on enlarged (`SlamConfig::enlarge_below_px`): not in sessions that were
+    /// made before that was done, whose keyframes hold the pixels of images as they were.
+    pub enlarges_small_images: bool,
     /// Wall-clock time of creation, nanoseconds since 1970.
     pub created_at_ns: i64,
     /// How tracking the last stored frame ended.
@@ -81,7 +84,8 @@ impl Store {
     pub async fn create_session(&self, new: &NewSession) -> Result<SessionRecord, StoreError> {
         let mut transaction = self.begin_write().await?;
         let inserted = sqlx::query(
-            "INSERT INTO sessions (id, camera, options, created_at_ns, state) VALUES (?, ?, ?, ?, ?)
+            "INSERT INTO sessions (id, camera, options, created_at_ns, state, enlarges_small_images)
+             VALUES (?, ?, ?, ?, ?, TRUE)
              ON CONFLICT (id) DO NOTHING",
         )
         .bind(&new.id)
@@ -225,6 +229,7 @@ pub(crate) fn parse_session(row: &SqliteRow) -> Result<(i64, SessionRecord), Sto
             center_y: row.try_get("centre_y_correction")?,
         },
         options: json::decode_options(row.try_get("options")?)?,
+        enlarges_small_images: row.try_get("enlarges_small_images")?,
         created_at_ns: row.try_get("created_at_ns")?,
         state: parse_state(row.try_get("state")?)?,
         metres_per_unit: row.try_get("metres_per_unit")?,

@@ -17,6 +17,7 @@ async fn a_database_of_the_first_release_opens() {
     assert_eq!(store.check().await.unwrap(), []);
     let session = store.get_session("s").await.unwrap();
     assert_eq!((session.camera, session.last_frame), (camera(), Some((20, 1_000_000_000))));
+    assert!(!session.enlarges_small_images, "its keyframes hold the pixels of images as they were");
     assert_same_parts(&load(&store).await, &parts(51, SMALL));
     assert_eq!((session.counts.n_points, session.counts.n_lines, session.counts.n_primitives), (60, 0, 0));
     // And it can be written to, lines and all; what was measured in its keyframes stays.

@@ -8,6 +8,7 @@ async fn a_session_is_made_found_changed_and_deleted() {
     let made = store.create_session(&new_session("kitchen")).await.unwrap();
     assert_eq!((made.id.as_str(), &made.camera), ("kitchen", &camera()));
     assert_eq!((made.last_frame, made.metres_per_unit, made.counts), (None, None, SessionCounts::default()));
+    assert!(made.enlarges_small_images);
     assert_eq!(store.get_session("kitchen").await.unwrap(), made);
 
     let taken = store.create_session(&new_session("kitchen")).await.unwrap_err();

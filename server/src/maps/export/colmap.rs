@@ -5,7 +5,7 @@
 
 use super::{ColmapPart, Export};
 use crate::error::ApiError;
-use crate::options::{SessionOptions, engine_config};
+use crate::options::engine_config_of;
 use geometry::{CameraModel, CameraParameters};
 use slam::map::KeyframeId;
 use std::collections::BTreeMap;
@@ -116,7 +116,7 @@ async fn write_images(export: &mut Export) -> Result<(), ApiError> {
 fn full_from_working(export: &Export) -> Result<[f64; 2], ApiError> {
     let record = export.snapshot.record();
     let camera = record.checked_camera()?;
-    let working = engine_config(&SessionOptions::from(record.options.clone()))?.working_camera(&camera);
+    let working = engine_config_of(record)?.working_camera(&camera);
     let factor = |full: u32, working: u32| f64::from(full) / f64::from(working);
     Ok([factor(camera.width(), working.width()), factor(camera.height(), working.height())])
 }
