@@ -100,6 +100,18 @@ impl PoseBook {
         }
         None
     }
+
+    /// The keyframe in the map on which one that is or was in the map hangs.
+    pub fn anchor_of(&self, reference: KeyframeId) -> Option<KeyframeId> {
+        let mut current = reference;
+        for _ in 0..=self.removed.len() {
+            if self.keyframes.contains_key(&current) {
+                return Some(current);
+            }
+            current = self.removed.get(&current)?.anchor;
+        }
+        None
+    }
 }
 
 fn read_anchor(row: &SqliteRow) -> Result<Anchor, StoreError> {
