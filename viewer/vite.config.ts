@@ -1,5 +1,5 @@
 import { createHash } from 'node:crypto';
-import { readFileSync, readdirSync, writeFileSync } from 'node:fs';
+import { copyFileSync, readFileSync, readdirSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
 import { defineConfig, type Plugin } from 'vite';
 
@@ -15,7 +15,7 @@ function files(path: string): string[] {
   }
 }
 
-/** Leaves a hash of the sources beside what was built, so that a test notices when the two differ. */
+/** Adds the license of three.js, which the page carries, and leaves a hash of the sources beside what was built, so that a test notices when the two differ. */
 function sourcesHash(): Plugin {
   return {
     name: 'sources-hash',
@@ -25,10 +25,14 @@ function sourcesHash(): Plugin {
       for (const path of SOURCES.flatMap(files)) {
         hash.update(path).update('\0').update(readFileSync(path)).update('\0');
       }
+      copyFileSync('node_modules/three/LICENSE', 'dist/assets/three-LICENSE.txt');
       writeFileSync('dist/sources.sha256', `${hash.digest('hex')}\n`);
     },
   };
 }
+
+/** The server that `npm run dev` takes sessions from. */
+const proxy = { '/v1': process.env['MONOSLAM_HTTP'] ?? 'http://127.0.0.1:8080' };
 
 export default defineConfig({
   base: '/',
@@ -39,6 +43,7 @@ export default defineConfig({
     assetsInlineLimit: 0,
     chunkSizeWarningLimit: 1000,
   },
-  server: { proxy: { '/v1': 'http://127.0.0.1:8080' } },
+  server: { proxy },
+  preview: { proxy },
   plugins: [sourcesHash()],
 });

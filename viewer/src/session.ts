@@ -57,7 +57,7 @@ export class SessionPage {
     this.#measure = new MeasurePanel(id, this.#scene, () => this.#draw(), onSession);
     this.#follow.addEventListener('change', () => this.#change({ follow: this.#follow.checked }));
     this.#buildStage();
-    const side = h('div', { class: 'side' }, this.#image.element, this.#statistics.element, this.#keyframe.element, this.#measure.element, exportsPanel(id, () => this.#view?.canvas ?? null));
+    const side = h('div', { class: 'side' }, this.#image.element, this.#statistics.element, this.#keyframe.element, this.#measure.element, exportsPanel(id, () => this.#view?.picture()));
     const left = h('div', { class: 'left' }, this.#stage, this.#timeline.element);
     root.replaceChildren(h('h1', { class: 'visually-hidden' }, `Session ${id}`), this.#trouble, h('div', { class: 'session' }, left, side));
     this.#follower = new Follower(id, this.#scene, {

@@ -15,7 +15,7 @@ export interface Placement {
 /** Share of the landmarks at each end of an axis that does not count for the size of a submap: strays. */
 const STRAY_SHARE = 0.02;
 /** Room between two submaps, as a share of the larger one. */
-const GAP_SHARE = 0.25;
+const GAP_SHARE = 0.4;
 
 function range(values: number[]): [number, number] {
   if (values.length === 0) return [0, 0];

@@ -13,6 +13,9 @@ import { edgeStrokes, keyframeStrokes, lineStrokes, pairKey, pointArrays, primit
 /** Depth of a drawn camera, as a share of the size of the map. */
 const FRUSTUM_SHARE = 0.025;
 
+/** Distance of the eye from the middle of everything, in radii of what just fits: room for the legend. */
+const FRAMING = 0.95;
+
 export interface Shown {
   /** Frames up to this one are drawn. */
   lastFrame: number;
@@ -51,7 +54,7 @@ export class MapView {
   primitiveEdges = { drawn: 0, total: 0 };
 
   constructor(private readonly scene: Scene) {
-    this.#renderer = new THREE.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
+    this.#renderer = new THREE.WebGLRenderer({ antialias: true });
     this.#renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.canvas = this.#renderer.domElement;
     // The world's y points down, as in the first image.
@@ -177,7 +180,7 @@ export class MapView {
     const box = new THREE.Box3(new THREE.Vector3(...extent.min), new THREE.Vector3(...extent.max));
     const sphere = box.getBoundingSphere(new THREE.Sphere());
     const half = Math.tan(THREE.MathUtils.degToRad(this.camera.fov / 2)) * Math.min(1, this.camera.aspect);
-    const away = new THREE.Vector3(0.35, -0.75, -1).normalize().multiplyScalar((0.8 * sphere.radius) / Math.max(half, 0.1));
+    const away = new THREE.Vector3(0.35, -0.75, -1).normalize().multiplyScalar((FRAMING * sphere.radius) / Math.max(half, 0.1));
     this.setEye({ position: sphere.center.clone().add(away).toArray(), target: sphere.center.toArray() });
   }
 
@@ -187,6 +190,12 @@ export class MapView {
     this.controls.target.set(...eye.target);
     this.controls.update();
     this.draw();
+  }
+
+  /** The map as it is drawn, as the address of a PNG file. */
+  picture(): string {
+    this.#renderer.render(this.#world, this.camera);
+    return this.canvas.toDataURL('image/png');
   }
 
   /** Draws once before the next refresh of the screen, however often it is asked for. */

@@ -3,7 +3,7 @@
 import { sessionPath } from '../data/api';
 import { announce, h } from '../dom';
 
-export function exportsPanel(id: string, canvas: () => HTMLCanvasElement | null): HTMLElement {
+export function exportsPanel(id: string, takePicture: () => string | undefined): HTMLElement {
   const path = sessionPath(id);
   const file = (text: string, query: string, name: string) => h('a', { href: `${path}/${query}`, download: `${id}${name}` }, text);
   const copied = h('span', { class: 'note', role: 'status' });
@@ -16,7 +16,7 @@ export function exportsPanel(id: string, canvas: () => HTMLCanvasElement | null)
     }
   };
   const picture = () => {
-    const url = canvas()?.toDataURL('image/png');
+    const url = takePicture();
     if (!url) return;
     h('a', { href: url, download: `${id}.png` }).click();
     announce('The picture was saved.');

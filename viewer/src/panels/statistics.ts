@@ -49,7 +49,7 @@ export class Statistics {
       ['Global primitives', count(scene.primitives.size)],
       ['Submaps', count(scene.submaps().length)],
       ['Scale', session.metres_per_unit === null ? 'free (map units)' : `${Number(session.metres_per_unit.toPrecision(4))} m a unit`],
-      ['Saved up to frame', session.durable_sequence === null ? 'none' : String(Math.max(session.durable_sequence, lastStored(scene)))],
+      ['Saved up to frame', session.durable_sequence === null ? 'none' : String(session.durable_sequence)],
     ];
     if (live) {
       entries.splice(
@@ -63,8 +63,4 @@ export class Statistics {
     }
     this.#list.replaceChildren(...entries.flatMap(([name, value]) => [h('dt', {}, name), h('dd', {}, value)]));
   }
-}
-
-function lastStored(scene: Scene): number {
-  return [...scene.keyframes.values()].reduce((last, row) => Math.max(last, row.sequence), 0);
 }

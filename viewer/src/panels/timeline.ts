@@ -8,18 +8,20 @@ import { theme } from '../theme';
 
 export interface Span {
   state: State;
+  /** Whether the poses were found afterwards. */
+  backfilled: boolean;
   /** First and last frame, by their places in the order of frames. */
   from: number;
   to: number;
 }
 
-/** Runs of frames of one state. */
+/** Runs of frames of one kind. */
 export function spans(frames: FrameRow[]): Span[] {
   const found: Span[] = [];
-  frames.forEach(({ state }, i) => {
+  frames.forEach(({ state, backfilled }, i) => {
     const last = found.at(-1);
-    if (last?.state === state) last.to = i;
-    else found.push({ state, from: i, to: i });
+    if (last?.state === state && last.backfilled === backfilled) last.to = i;
+    else found.push({ state, backfilled, from: i, to: i });
   });
   return found;
 }
@@ -27,13 +29,16 @@ export function spans(frames: FrameRow[]): Span[] {
 /** How a frame is told in words. */
 export function frameText(frame: FrameRow): string {
   const placed = frame.pose ? (frame.backfilled ? ', placed afterwards' : '') : ', no pose';
-  const reason = frame.reason ? `: ${frame.reason}` : '';
+  // A frame placed afterwards had a reason when it came in.
+  const reason = frame.reason ? `${frame.backfilled ? '; as it came in' : ''}: ${frame.reason}` : '';
   return `Frame ${frame.sequence}, ${frame.state}${placed}${reason}`;
 }
 
 const STATES: State[] = ['initialising', 'tracked', 'weak', 'lost'];
 /** Shares of the strip's height by state, so that states differ by more than color. */
 const HEIGHTS: Record<State, number> = { tracked: 1, weak: 0.7, initialising: 0.45, lost: 0.25 };
+/** Width of a stripe of frames that were placed afterwards, with the gap beside it, pixels. */
+const STRIPE_PX = 6;
 /** Longest pause between two frames that is played, ms. */
 const LONGEST_PAUSE_MS = 250;
 
@@ -76,18 +81,15 @@ export class Timeline {
     const text = shown ? frameText(shown) : 'No frame has come in yet.';
     this.#text.textContent = text;
     this.#slider.setAttribute('aria-valuetext', text);
-    this.#legend.replaceChildren(...STATES.map((state) => this.#entry(state, frames)));
+    this.#legend.replaceChildren(
+      ...STATES.map((state) => entry(state, `state-${state}`, frames.filter((frame) => frame.state === state && !frame.backfilled))),
+      entry('placed afterwards', 'state-backfilled', frames.filter((frame) => frame.backfilled)),
+    );
     this.#drawStrip();
   }
 
   close(): void {
     this.#stop();
-  }
-
-  #entry(state: State, frames: FrameRow[]): HTMLElement {
-    const swatch = h('span', { class: `swatch state-${state}`, 'aria-hidden': 'true' });
-    const n = frames.filter((frame) => frame.state === state).length;
-    return h('li', {}, swatch, `${state} ${count(n)}`);
   }
 
   #index(frames: FrameRow[]): number {
@@ -149,10 +151,17 @@ export class Timeline {
     context.scale(ratio, ratio);
     const frames = this.scene.frameOrder();
     const unit = width / Math.max(1, frames.length);
-    for (const { state, from, to } of spans(frames)) {
+    for (const { state, backfilled, from, to } of spans(frames)) {
       context.fillStyle = stateColor(state, theme());
-      const tall = HEIGHTS[state] * height;
-      context.fillRect(from * unit, height - tall, Math.max(1, (to - from + 1) * unit), tall);
+      const [left, wide, tall] = [from * unit, Math.max(1, (to - from + 1) * unit), HEIGHTS[state] * height];
+      if (!backfilled) context.fillRect(left, height - tall, wide, tall);
+      for (let x = left; backfilled && x < left + wide; x += STRIPE_PX) {
+        context.fillRect(x, height - tall, Math.min(STRIPE_PX / 2, left + wide - x), tall);
+      }
     }
   }
+}
+
+function entry(name: string, mark: string, frames: FrameRow[]): HTMLElement {
+  return h('li', {}, h('span', { class: `swatch ${mark}`, 'aria-hidden': 'true' }), `${name} ${count(frames.length)}`);
 }
