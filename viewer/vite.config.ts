@@ -32,7 +32,7 @@ function sourcesHash(): Plugin {
 }
 
 /** The server that `npm run dev` takes sessions from. */
-const proxy = { '/v1': process.env['MONOSLAM_HTTP'] ?? 'http://127.0.0.1:8080' };
+const proxy = { '/v1': process.env['VIEWER_HTTP'] ?? 'http://127.0.0.1:8080' };
 
 export default defineConfig({
   base: '/',

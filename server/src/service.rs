@@ -204,7 +204,8 @@ impl Service {
         session::localize(&context, image, self.config.decode_limits()).await
     }
 
-    /// The map as a viewer draws it: what changed since a revision, or, where that is not known any more, all.
+    /// The map as a viewer draws it: what changed since a revision, or, where that is not known any more,
+    /// all.
     ///
     /// # Errors
     /// If there is none of this id.

@@ -82,6 +82,5 @@ pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::Pipeline;
 pub use report::{
     FrameReport, InitializationWait, LineJudgement, LineVerdict, LostReason, MapEvent, ObservedFrame,
-    PoseUncertainty,
-    TrackingOutcome,
+    PoseUncertainty, TrackingOutcome,
 };

@@ -43,8 +43,8 @@ const SELECT_FRAMES: &str = "SELECT sequence, timestamp_ns, state, backfilled, r
      qx, qy, qz, qw, tx, ty, tz FROM frames WHERE session = ?1 AND sequence >= ?2 ORDER BY sequence LIMIT ?3";
 
 impl Store {
-    /// Every frame of a session in the order of their numbers. Poses of keyframes are read at once, frames as the
-    /// stream goes on.
+    /// Every frame of a session in the order of their numbers. Poses of keyframes are read at once, frames as
+    /// the stream goes on.
     ///
     /// # Errors
     /// [`StoreError::SessionNotFound`], before the stream begins.
@@ -75,18 +75,17 @@ impl Store {
 
 fn parse_frame(row: &SqliteRow, book: &PoseBook) -> Result<FrameEntry, StoreError> {
     let reference: Option<i64> = row.try_get(4)?;
-    let place = match reference {
-        None => None,
-        Some(reference) => {
-            let (reference, camera_from_reference) = (keyframe_id(reference)?, read_pose(row, 5)?);
-            let located = book.locate(reference, &camera_from_reference);
-            located.zip(book.anchor_of(reference)).map(|((submap, camera_from_world), anchor)| FramePlace {
-                submap,
-                anchor,
-                world_from_camera: camera_from_world.inverse(),
-            })
-        }
-    };
+    let place =
+        match reference {
+            None => None,
+            Some(reference) => {
+                let (reference, camera_from_reference) = (keyframe_id(reference)?, read_pose(row, 5)?);
+                let located = book.locate(reference, &camera_from_reference);
+                located.zip(book.anchor_of(reference)).map(|((submap, camera_from_world), anchor)| {
+                    FramePlace { submap, anchor, world_from_camera: camera_from_world.inverse() }
+                })
+            }
+        };
     Ok(FrameEntry {
         sequence: from_column("a sequence", row.try_get(0)?)?,
         timestamp_ns: row.try_get(1)?,

@@ -30,8 +30,8 @@ pub struct MeasuredKeyframe {
 const LANDMARKS_PER_STEP: i64 = 4096;
 
 impl Store {
-    /// What a keyframe measured, and which landmarks see it; `None` if there is no such keyframe. Looks through the
-    /// session's landmarks, since observations are kept with them.
+    /// What a keyframe measured, and which landmarks see it; `None` if there is no such keyframe. Looks
+    /// through the session's landmarks, since observations are kept with them.
     ///
     /// # Errors
     /// [`StoreError::SessionNotFound`], or if the keyframe's rows are damaged.
@@ -59,8 +59,8 @@ impl Store {
         Ok(Some(MeasuredKeyframe { keypoints, points, segments, lines, vanishing }))
     }
 
-    /// Where a keyframe's keypoints are, pixels of the working image with the lens's distortion; `None` if there is
-    /// no such keyframe.
+    /// Where a keyframe's keypoints are, pixels of the working image with the lens's distortion; `None` if
+    /// there is no such keyframe.
     ///
     /// # Errors
     /// [`StoreError::SessionNotFound`], or if the keyframe's features are damaged.

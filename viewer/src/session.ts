@@ -130,11 +130,12 @@ export class SessionPage {
   #pick(at: ScreenPlace): void {
     if (!this.#view) return;
     if (!this.#measure.picking) {
+      if (this.address.hidden.includes('keyframes')) return;
       const keyframe = pickKeyframe(this.#view, this.#scene, at);
       if (keyframe !== null) this.#change({ keyframe });
       return;
     }
-    const found = pickPoint(this.#view, at);
+    const found = pickPoint(this.#view, this.#scene, at);
     const row = found && this.#scene.points.get(found.id);
     if (!row) {
       announce('There is no point here.');

@@ -16,8 +16,8 @@ use utoipa::ToSchema;
 /// What was measured in an image, and what of it was recognized.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Observed {
-    /// Width of the image that the pixels below are of: the session's, or the width the engine works with if that
-    /// is less.
+    /// Width of the image that the pixels below are of: the session's, or the width the engine works with if
+    /// that is less.
     pub width: u32,
     /// Height of that image.
     pub height: u32,

@@ -1,8 +1,8 @@
 //! The map as a viewer draws it: columns of numbers in parts, all of it or what changed since a revision.
 //!
-//! The revision is taken before the database is read, so what is read is at least as new, and a viewer that asks
-//! for the changes since then misses nothing: a row it has already is told again. Lengths are map units, also in a
-//! session whose scale is known, so that a new scale changes no row.
+//! The revision is taken before the database is read, so what is read is at least as new, and a viewer that
+//! asks for the changes since then misses nothing: a row it has already is told again. Lengths are map units,
+//! also in a session whose scale is known, so that a new scale changes no row.
 
 use super::observed::working_camera;
 use super::shades::ShadedSession;
@@ -52,8 +52,8 @@ pub struct SceneHead {
     pub full: bool,
     /// Metres per map unit; `null` while the scale is free. Lengths of a scene are map units all the same.
     pub metres_per_unit: Option<f64>,
-    /// The camera's field of view: x and y of the image's corners at depth 1, its right and lower one then its left
-    /// and upper one.
+    /// The camera's field of view: x and y of the image's corners at depth 1, its right and lower one then
+    /// its left and upper one.
     pub frustum: [f32; 4],
 }
 
@@ -327,7 +327,9 @@ impl PrimitiveColumns {
             columns.ids.push(primitive.id.get());
             columns.submap_ids.push(primitive.submap.0);
             columns.directions.push((*primitive.direction.as_vector()).map(|number| number as f32).into());
-            columns.keyframe_ids.push(primitive.observations.iter().map(|seen| seen.keyframe.get()).collect());
+            columns
+                .keyframe_ids
+                .push(primitive.observations.iter().map(|seen| seen.keyframe.get()).collect());
         }
         columns
     }

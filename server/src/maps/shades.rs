@@ -1,7 +1,7 @@
 //! Gray values of points: what a keyframe's image shows where its keypoints are.
 //!
-//! They are no part of the map, so they are looked up in the images when somebody wants to see it, and what was
-//! looked up is kept, within bounds: a keyframe's keypoints and image never change.
+//! They are no part of the map, so they are looked up in the images when somebody wants to see it, and what
+//! was looked up is kept, within bounds: a keyframe's keypoints and image never change.
 
 use crate::error::ApiError;
 use crate::session::SessionId;
@@ -60,7 +60,8 @@ impl Shades {
         for point in points {
             // The keyframe that made the point sees it best; a removed one's place is taken by the oldest.
             let seen = point.observation_in(point.created_by).map(|idx| (point.created_by, idx));
-            let seen = seen.or_else(|| point.observations.first().map(|seen| (seen.keyframe, seen.feature_idx)));
+            let seen =
+                seen.or_else(|| point.observations.first().map(|seen| (seen.keyframe, seen.feature_idx)));
             grays.push(match seen {
                 Some((keyframe, idx)) => {
                     self.of_keyframe(store, session, keyframe).await?.get(idx as usize).copied()
@@ -125,8 +126,10 @@ pub(super) fn decode(image: &StoredImage, limits: &DecodeLimits) -> Option<GrayI
 /// The gray values at keypoints of an image that was `working_width_px` wide when they were found.
 fn sample(image: &GrayImage, keypoints: &[[f32; 2]], working_width_px: u32) -> Grays {
     let factor = image.width() as f32 / working_width_px.max(1) as f32;
-    let pixel = |length: f32, size: u32| (length * factor).round().clamp(0.0, size.saturating_sub(1) as f32) as u32;
-    let gray = |[x, y]: &[f32; 2]| image.get(pixel(*x, image.width()), pixel(*y, image.height())).unwrap_or(0);
+    let pixel =
+        |length: f32, size: u32| (length * factor).round().clamp(0.0, size.saturating_sub(1) as f32) as u32;
+    let gray =
+        |[x, y]: &[f32; 2]| image.get(pixel(*x, image.width()), pixel(*y, image.height())).unwrap_or(0);
     keypoints.iter().map(gray).collect()
 }
 

@@ -19,7 +19,8 @@ static FILES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../viewer/dist");
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Files below `assets/` have a hash of what they hold in their names, so one name means one content for ever.
+/// Files below `assets/` have a hash of what they hold in their names, so one name means one content for
+/// ever.
 const FOR_EVER: &str = "public, max-age=31536000, immutable";
 
 /// The page.

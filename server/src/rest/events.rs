@@ -115,7 +115,8 @@ pub(super) struct MapEvent {
     n_primitives: usize,
 }
 
-/// Data of an event `scene`: the database holds a newer state of the map; `…/scene?since=` tells what changed.
+/// Data of an event `scene`: the database holds a newer state of the map; `…/scene?since=` tells what
+/// changed.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(super) struct SceneEvent {
     /// The newest revision.
@@ -194,8 +195,8 @@ impl From<&MapChange> for MapEvent {
 }
 
 /// What happens in the session from now on, as server-sent events: `session` (the session as it is now, and
-/// after its options or scale were changed), `frame`, `map`, `scene` and `missed`, each with a JSON object as its
-/// data. Ends when the session is deleted or the server shuts down.
+/// after its options or scale were changed), `frame`, `map`, `scene` and `missed`, each with a JSON object as
+/// its data. Ends when the session is deleted or the server shuts down.
 #[utoipa::path(get, path = "/v1/sessions/{id}/events", tag = "sessions",
     params(("id", description = "The session's id")), responses(
     (status = 200, description = "The events", content(

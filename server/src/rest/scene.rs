@@ -20,14 +20,14 @@ use utoipa::IntoParams;
 #[serde(default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Wanted {
-    /// The `revision` of a scene read before: only what changed since is told, as far as the server remembers;
-    /// `full` says whether it did.
+    /// The `revision` of a scene read before: only what changed since is told, as far as the server
+    /// remembers; `full` says whether it did.
     #[param(value_type = Option<String>)]
     since: Option<String>,
 }
 
-/// The session's map and trajectory as columns of numbers, for drawing: one JSON object a line, the first `scene`,
-/// the last `end`. Lengths are map units whatever the session's scale.
+/// The session's map and trajectory as columns of numbers, for drawing: one JSON object a line, the first
+/// `scene`, the last `end`. Lengths are map units whatever the session's scale.
 #[utoipa::path(get, path = "/v1/sessions/{id}/scene", tag = "maps",
     params(("id", description = "The session's id"), Wanted), responses(
     (status = 200, description = "The parts", body = ScenePart, content_type = "application/x-ndjson"),

@@ -108,7 +108,8 @@ impl Events {
             if let Some(shown) = shown() {
                 self.gallery.show(shown);
             }
-            let _ = self.sender.send(SessionEvent::Frame { report: Arc::new(report.clone()), metres_per_unit });
+            let _ =
+                self.sender.send(SessionEvent::Frame { report: Arc::new(report.clone()), metres_per_unit });
         }
     }
 

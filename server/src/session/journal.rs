@@ -1,7 +1,7 @@
 //! What changed in a session's map, revision by revision, for viewers that have seen an earlier one.
 //!
-//! A revision is a commit: whoever reads the database after learning of it sees it, or something newer. The journal
-//! is bounded; a viewer that has been away for longer than it reaches back reads the whole map again.
+//! A revision is a commit: whoever reads the database after learning of it sees it, or something newer. The
+//! journal is bounded; a viewer that has been away for longer than it reaches back reads the whole map again.
 
 use slam::MapUpdate;
 use slam::map::MapChanges;
@@ -150,7 +150,8 @@ mod tests {
 
     fn update(changed: &[u64], removed: &[u64]) -> MapUpdate {
         let ids = |ids: &[u64]| ids.iter().filter_map(|id| PointId::new(*id)).collect();
-        let changes = MapChanges { points: ids(changed), removed_points: ids(removed), ..MapChanges::default() };
+        let changes =
+            MapChanges { points: ids(changed), removed_points: ids(removed), ..MapChanges::default() };
         MapUpdate { map: Arc::new(Map::default()), changes, frames: Vec::new() }
     }
 

@@ -209,7 +209,8 @@ impl Registry {
         self.slot(id).events.watch()
     }
 
-    /// What changed in a session's map since a revision. The session must be there: asking makes a place for it.
+    /// What changed in a session's map since a revision. The session must be there: asking makes a place for
+    /// it.
     pub fn since(&self, id: &SessionId, known: Option<Revision>) -> Since {
         self.slot(id).events.journal().since(known)
     }

@@ -265,7 +265,12 @@ impl Worker {
         self.hand_over_updates(Pipeline::take_updates);
         self.publish(Some(state));
         let metres_per_unit = *self.ends.scale.borrow();
-        let shown = || Some(ShownFrame { image: sent, observed: self.pipeline.observed()? });
+        // Where images are not to be kept, they are not shown either.
+        let keep_images = self.config.keep_images;
+        let shown = || {
+            let observed = self.pipeline.observed().filter(|_| keep_images)?;
+            Some(ShownFrame { image: sent, observed })
+        };
         self.ends.events.frame(&report, metres_per_unit, shown);
         record_frame(&report, queued_ns);
         self.recent.remember(report.clone());

@@ -15,6 +15,9 @@ const NAMES: Record<Layer, string> = {
   primitives: 'Primitive ties',
 };
 
+/** Primitives named in the legend at most: as many as there are colors. */
+const MAX_NAMED = 7;
+
 export class Layers {
   readonly element: HTMLElement;
   readonly #keys = h('div', { class: 'keys' });
@@ -39,9 +42,12 @@ export class Layers {
   update(hidden: Layer[], scene: Scene, primitiveEdges: { drawn: number; total: number }): void {
     this.#boxes.forEach((box, layer) => (box.checked = !hidden.includes(layer)));
     const now = theme();
+    const named = [...scene.primitives.keys()].slice(0, MAX_NAMED);
+    const more = scene.primitives.size - named.length;
     const rows = [
       key('dot', '#9a9a9a', "points: the images' gray"),
-      ...[...scene.primitives.keys()].slice(0, 7).map((id) => key('line', primitiveColor(id, now), `lines of primitive ${id}`)),
+      ...named.map((id) => key('line', primitiveColor(id, now), `lines of primitive ${id}`)),
+      more > 0 ? h('p', { class: 'note' }, `and of ${more} more primitives, the colors in turn`) : null,
       key('line', primitiveColor(null, now), 'lines of none'),
       ...scene.submaps().map((submap) => key('line', submapColor(submap, now), `trajectory, submap ${submap}`)),
       key('dash', submapColor(scene.submaps()[0] ?? 0, now), 'dashed: placed afterwards'),

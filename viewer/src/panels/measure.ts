@@ -48,8 +48,12 @@ export class MeasurePanel {
 
   /** Takes a point that was clicked at. */
   pick(point: Picked): void {
-    if (this.picked.length === 2) this.picked = [];
+    if (this.picked.some(({ id }) => id === point.id)) {
+      announce('That is the first point again.');
+      return;
+    }
     this.picked.push(point);
+    announce(`Point ${point.id} picked.`);
     if (this.picked.length === 2) this.#toggle();
     this.update();
     this.onChange();
