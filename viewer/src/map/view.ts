@@ -16,6 +16,11 @@ const FRUSTUM_SHARE = 0.025;
 /** Distance of the eye from the middle of everything, in radii of what just fits: room for the legend. */
 const FRAMING = 0.95;
 
+/** Width of the legend over the left of the map, pixels: the middle of the view lies right of it; on narrow screens the
+ * legend is closed. */
+const LEGEND_PX = 250;
+const LEGEND_FROM_PX = 700;
+
 export interface Shown {
   /** Frames up to this one are drawn. */
   lastFrame: number;
@@ -213,6 +218,8 @@ export class MapView {
     if (clientWidth === 0 || clientHeight === 0) return;
     this.#renderer.setSize(clientWidth, clientHeight, false);
     this.camera.aspect = clientWidth / clientHeight;
+    const shift = clientWidth >= LEGEND_FROM_PX ? LEGEND_PX / 2 : 0;
+    this.camera.setViewOffset(clientWidth, clientHeight, -shift, 0, clientWidth, clientHeight);
     this.camera.updateProjectionMatrix();
     this.draw();
   }
