@@ -11,7 +11,7 @@ use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
 /// One frame of a session.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FrameEntry {
     /// The client's number of the frame.
     pub sequence: u64,
@@ -26,12 +26,13 @@ pub struct FrameEntry {
 }
 
 /// Where a frame's camera was.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FramePlace {
     /// The submap whose frame of reference the pose is in.
     pub submap: SubmapId,
-    /// The keyframe in the map that the pose moves with.
-    pub anchor: KeyframeId,
+    /// The keyframes the pose moves with: its own, and while that was removed, the one that hangs on, to the
+    /// one in the map.
+    pub way: Vec<KeyframeId>,
     /// Position and orientation of the camera, map units.
     pub world_from_camera: Pose,
 }
@@ -75,17 +76,18 @@ impl Store {
 
 fn parse_frame(row: &SqliteRow, book: &PoseBook) -> Result<FrameEntry, StoreError> {
     let reference: Option<i64> = row.try_get(4)?;
-    let place =
-        match reference {
-            None => None,
-            Some(reference) => {
-                let (reference, camera_from_reference) = (keyframe_id(reference)?, read_pose(row, 5)?);
-                let located = book.locate(reference, &camera_from_reference);
-                located.zip(book.anchor_of(reference)).map(|((submap, camera_from_world), anchor)| {
-                    FramePlace { submap, anchor, world_from_camera: camera_from_world.inverse() }
-                })
-            }
-        };
+    let place = match reference {
+        None => None,
+        Some(reference) => {
+            let (reference, camera_from_reference) = (keyframe_id(reference)?, read_pose(row, 5)?);
+            let located = book.locate(reference, &camera_from_reference);
+            located.zip(book.way_of(reference)).map(|((submap, camera_from_world), way)| FramePlace {
+                submap,
+                way,
+                world_from_camera: camera_from_world.inverse(),
+            })
+        }
+    };
     Ok(FrameEntry {
         sequence: from_column("a sequence", row.try_get(0)?)?,
         timestamp_ns: row.try_get(1)?,

@@ -101,16 +101,19 @@ impl PoseBook {
         None
     }
 
-    /// The keyframe in the map on which one that is or was in the map hangs.
-    pub fn anchor_of(&self, reference: KeyframeId) -> Option<KeyframeId> {
+    /// The keyframes on which one that is or was in the map hangs, from itself to the one that is in the map.
+    pub fn way_of(&self, reference: KeyframeId) -> Option<Vec<KeyframeId>> {
+        let mut way = vec![reference];
         let mut current = reference;
-        for _ in 0..=self.removed.len() {
-            if self.keyframes.contains_key(&current) {
-                return Some(current);
-            }
+        while !self.keyframes.contains_key(&current) {
             current = self.removed.get(&current)?.anchor;
+            // Damaged rows may form a ring.
+            if way.len() > self.removed.len() {
+                return None;
+            }
+            way.push(current);
         }
-        None
+        Some(way)
     }
 }
 

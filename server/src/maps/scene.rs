@@ -250,7 +250,9 @@ impl MapQueries {
         let frames = self.store.frames(id.as_str()).await?;
         let wanted = move |frame: &FrameEntry| {
             changes.as_ref().is_none_or(|changes| {
-                let moved = frame.place.is_some_and(|place| changes.map.keyframes.contains(&place.anchor));
+                let map = &changes.map;
+                let is_other = |id| map.keyframes.contains(id) || map.removed_keyframes.contains(id);
+                let moved = frame.place.as_ref().is_some_and(|place| place.way.iter().any(is_other));
                 moved || changes.sequences.contains(&frame.sequence)
             })
         };
@@ -371,7 +373,7 @@ impl FrameColumns {
             columns.times_s.push(frame.timestamp_ns as f64 * 1e-9);
             columns.states.push(frame.state.into());
             columns.backfilled.push(frame.backfilled);
-            let place = frame.place;
+            let place = frame.place.as_ref();
             columns.submap_ids.push(place.map(|place| place.submap.0));
             columns.poses.push(place.map(|place| pose_columns(&place.world_from_camera)));
             if let Some(reason) = reasons.get(&frame.sequence) {

@@ -139,7 +139,7 @@ mod tests {
 
     #[test]
     fn grays_are_those_of_the_image_at_its_own_size() {
-        let image = GrayImage::from_fn(200, 100, |x, y| (x + y) as u8 / 2);
+        let image = GrayImage::from_fn(200, 100, |x, y| ((x + y) / 2) as u8);
         let keypoints = [[10.0, 20.0], [-5.0, 0.0], [1e9, 1e9]];
         assert_eq!(*sample(&image, &keypoints, 200), [15, 0, 149]);
         assert_eq!(*sample(&image, &keypoints[..1], 100), [30], "the engine worked at half the size");

@@ -26,8 +26,9 @@ fn column(scene: &[Value], kind: &str, name: &str) -> Vec<Value> {
     parts.flat_map(|part| part[name].as_array().unwrap().clone()).collect()
 }
 
+/// A number as a scene tells it: with the digits of single precision.
 fn single(number: f64) -> Value {
-    json!(number as f32)
+    serde_json::from_str(&serde_json::to_string(&(number as f32)).unwrap()).unwrap()
 }
 
 #[tokio::test]

@@ -45,14 +45,14 @@ async fn frames_are_told_with_the_keyframe_that_moves_them() {
             (record.sequence, record.timestamp_ns, record.state)
         );
         let Some(pose) = record.pose else {
-            assert_eq!((entry.place, entry.state), (None, FrameState::Lost));
+            assert_eq!((&entry.place, entry.state), (&None, FrameState::Lost));
             continue;
         };
-        let place = entry.place.unwrap();
+        let place = entry.place.clone().unwrap();
         let (submap, camera_from_world) = map.locate(&pose).unwrap();
         assert_eq!((place.submap, place.world_from_camera), (submap, camera_from_world.inverse()));
-        let anchor = if pose.reference == kf(6) { kf(5) } else { pose.reference };
-        assert_eq!(place.anchor, anchor);
+        let way = if pose.reference == kf(6) { vec![kf(6), kf(5)] } else { vec![pose.reference] };
+        assert_eq!(place.way, way);
     }
     assert!(matches!(store.frames("nobody").await, Err(StoreError::SessionNotFound { .. })));
 }
