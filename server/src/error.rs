@@ -17,6 +17,8 @@ pub enum ErrorCode {
     PrimitiveNotFound,
     /// The keyframe's image was not kept.
     ImageNotFound,
+    /// The frame is not kept, or no longer.
+    FrameNotFound,
     /// There is no such path.
     NotFound,
     /// The path does not take this method.
@@ -60,6 +62,7 @@ impl ErrorCode {
             Self::KeyframeNotFound => "KEYFRAME_NOT_FOUND",
             Self::PrimitiveNotFound => "PRIMITIVE_NOT_FOUND",
             Self::ImageNotFound => "IMAGE_NOT_FOUND",
+            Self::FrameNotFound => "FRAME_NOT_FOUND",
             Self::NotAvailable => "NOT_AVAILABLE",
             Self::TooBusy => "TOO_BUSY",
             Self::NotFound => "NOT_FOUND",
@@ -87,6 +90,7 @@ impl ErrorCode {
             Self::KeyframeNotFound => "No such keyframe",
             Self::PrimitiveNotFound => "No such global primitive",
             Self::ImageNotFound => "The keyframe's image was not kept",
+            Self::FrameNotFound => "The frame is not kept, or no longer",
             Self::NotAvailable => "Not available in this version",
             Self::TooBusy => "Too much is asked at once",
             Self::NotFound => "No such path",
@@ -114,6 +118,7 @@ impl ErrorCode {
             | Self::KeyframeNotFound
             | Self::PrimitiveNotFound
             | Self::ImageNotFound
+            | Self::FrameNotFound
             | Self::NotFound => Code::NotFound,
             Self::MethodNotAllowed | Self::NotAvailable => Code::Unimplemented,
             Self::SessionExists => Code::AlreadyExists,
@@ -138,6 +143,7 @@ impl ErrorCode {
             | Self::KeyframeNotFound
             | Self::PrimitiveNotFound
             | Self::ImageNotFound
+            | Self::FrameNotFound
             | Self::NotFound => StatusCode::NOT_FOUND,
             Self::NotAvailable => StatusCode::NOT_IMPLEMENTED,
             Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,

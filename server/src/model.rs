@@ -80,7 +80,7 @@ impl From<CameraParameters> for Camera {
 }
 
 /// How tracking a frame ended.
-#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
     /// There was no map yet.

@@ -2,17 +2,17 @@
 
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
-use crate::maps::MapQueries;
+use crate::maps::{MapQueries, Observed, SceneParts};
 use crate::options::{SessionOptions, engine_config};
 use crate::page::{MAX_PAGE_SIZE, Page, PageRequest};
 use crate::session::{
     self, FrameQueue, LoadContext, Located, OpenRequest, Registry, Replies, Reply, SentImage, SessionId,
-    SessionView,
+    SessionView, ShownFrame,
 };
 use geometry::{Camera, CameraParameters};
 use std::sync::Arc;
 use std::time::Duration;
-use store::{SessionChanges, SessionRecord, Store};
+use store::{SessionChanges, SessionRecord, Store, StoredImage};
 use tokio::sync::Semaphore;
 
 /// Smallest image side the front end can use, pixels.
@@ -58,7 +58,7 @@ impl Service {
         let registry = Registry::new(config.clone(), store.clone());
         let n_sessions = tokio::sync::Mutex::new(count_sessions(&store).await?);
         let localizations = Semaphore::new(config.sessions.n_localizations);
-        let maps = MapQueries::new(store.clone(), config.data_dir.clone());
+        let maps = MapQueries::new(store.clone(), config.data_dir.clone(), config.decode_limits());
         Ok(Self { config, store, maps, registry, n_sessions, localizations })
     }
 
@@ -204,6 +204,42 @@ impl Service {
         session::localize(&context, image, self.config.decode_limits()).await
     }
 
+    /// The map as a viewer draws it: what changed since a revision, or, where that is not known any more,
+    /// all.
+    ///
+    /// # Errors
+    /// If there is none of this id.
+    pub async fn scene(&self, id: &SessionId, since: Option<&str>) -> Result<SceneParts, ApiError> {
+        // Looked up first: asking what changed makes a place for the session.
+        self.store.get_session(id.as_str()).await?;
+        let known = since.and_then(|text| text.parse().ok());
+        self.maps.scene(id, self.registry.since(id, known)).await
+    }
+
+    /// The image of one of the last frames of a session that is watched.
+    ///
+    /// # Errors
+    /// If there is none of this id, or the frame is not kept.
+    pub async fn frame_image(&self, id: &SessionId, sequence: u64) -> Result<StoredImage, ApiError> {
+        let frame = self.shown_frame(id, sequence).await?;
+        let file = tokio::task::spawn_blocking(move || session::as_file(&frame.image)).await;
+        file.map_err(ApiError::internal)?.ok_or_else(|| no_frame(id, sequence))
+    }
+
+    /// What was measured and recognized in one of the last frames of a session that is watched.
+    ///
+    /// # Errors
+    /// If there is none of this id, or the frame is not kept.
+    pub async fn frame_observed(&self, id: &SessionId, sequence: u64) -> Result<Observed, ApiError> {
+        let frame = self.shown_frame(id, sequence).await?;
+        self.maps.observed_frame(id, &frame).await
+    }
+
+    async fn shown_frame(&self, id: &SessionId, sequence: u64) -> Result<Arc<ShownFrame>, ApiError> {
+        self.store.get_session(id.as_str()).await?;
+        self.registry.shown_frame(id, sequence).ok_or_else(|| no_frame(id, sequence))
+    }
+
     /// Global bundle adjustment of a session's map.
     ///
     /// # Errors
@@ -241,6 +277,11 @@ impl Service {
         let loaded = SessionId::parse(&record.id, "id").ok().and_then(|id| self.registry.view(&id));
         SessionView::of(record, loaded)
     }
+}
+
+fn no_frame(id: &SessionId, sequence: u64) -> ApiError {
+    let sentence = format!("frame {sequence} of session {id} is not kept, or no longer");
+    ApiError::new(ErrorCode::FrameNotFound, sentence)
 }
 
 async fn count_sessions(store: &Store) -> Result<u64, ApiError> {

@@ -244,12 +244,24 @@ async fn the_document_describes_the_interface() {
 }
 
 #[tokio::test]
-async fn the_front_page_lists_the_sessions() {
+async fn the_front_page_is_the_viewer_with_all_it_loads() {
     let api = Api::new().await;
-    api.post("/v1/sessions", &kitchen()).await;
     let page = api.get("/").await;
     assert!(page.content_type.starts_with("text/html"));
-    assert!(String::from_utf8(page.body).unwrap().contains("/v1/sessions/kitchen/trajectory"));
+    let text = String::from_utf8(page.body).unwrap();
+    let loaded: Vec<&str> = text
+        .split('"')
+        .filter(|word| word.starts_with('/') && word.rsplit('/').next().unwrap().contains('.'))
+        .collect();
+    assert!(loaded.len() >= 3, "the page loads a script, a style sheet and an icon: {loaded:?}");
+    for path in loaded {
+        let file = api.get(path).await;
+        assert_eq!(file.status, StatusCode::OK, "{path}");
+        assert_ne!(file.content_type, "application/octet-stream", "{path}");
+    }
+    for path in ["/assets/none.js", "/assets/..%2Findex.html", "/assets/%2Fetc%2Fpasswd"] {
+        assert_eq!(api.get(path).await.problem()["code"], "NOT_FOUND", "{path}");
+    }
     assert_eq!(api.get("/healthz").await.status, StatusCode::OK);
     assert_eq!(api.get("/readyz").await.status, StatusCode::OK);
     assert_eq!(api.get("/metrics").await.status, StatusCode::OK);

@@ -81,6 +81,6 @@ pub use loops::{KeyframeTies, essential_edges};
 pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::Pipeline;
 pub use report::{
-    FrameReport, InitializationWait, LineJudgement, LineVerdict, LostReason, MapEvent, PoseUncertainty,
-    TrackingOutcome,
+    FrameReport, InitializationWait, LineJudgement, LineVerdict, LostReason, MapEvent, ObservedFrame,
+    PoseUncertainty, TrackingOutcome,
 };

@@ -45,6 +45,8 @@ pub struct Pipeline {
     trajectory: TrajectoryLog,
     next_keyframe_idx: u64,
     last_frame: Option<(u64, i64)>,
+    /// What the last frame measured, for whoever wants to see it.
+    last_view: Option<View>,
     mapping_enabled: bool,
     lossless: bool,
 }
@@ -80,6 +82,7 @@ impl Pipeline {
         stopwatch.lap("extend");
         self.step_backfill(&view, &result);
         stopwatch.lap("backfill");
+        self.last_view = Some(view.clone());
 
         let submap = self.submaps.current();
         Ok(result.into_report(&view, submap, line_statistics, self.mapping.take_events(), stopwatch.finish()))

@@ -1,9 +1,11 @@
 //! What came of one frame: values with the measurements beside the thresholds they were held against.
 
-use crate::map::{FrameState, KeyframeId, SubmapId};
+use crate::features::FrameFeatures;
+use crate::map::{FrameState, KeyframeId, LineId, PointId, PrimitiveId, SubmapId};
 use geometry::nalgebra::Vector3;
 use geometry::{PinholeCorrection, Pose};
 use std::fmt;
+use std::sync::Arc;
 use vision::lines::LineTrackingStatistics;
 
 /// Why there is no map yet. Its text is written for the person who holds the camera.
@@ -296,6 +298,21 @@ pub struct FrameReport {
     pub wall_ns: u64,
     /// CPU time of the tracking thread, nanoseconds; 0 without a clock.
     pub cpu_ns: u64,
+}
+
+/// What the last frame measured and what of it was recognized, to be shown to people.
+#[derive(Clone, Debug)]
+pub struct ObservedFrame {
+    /// The client's number of the frame.
+    pub sequence: u64,
+    /// What the front end measured.
+    pub features: Arc<FrameFeatures>,
+    /// The point each keypoint was matched to; all `None` while there is no pose.
+    pub points: Vec<Option<PointId>>,
+    /// The line each segment was matched to, likewise.
+    pub lines: Vec<Option<LineId>>,
+    /// The primitive each segment is known to run along, likewise.
+    pub primitives: Vec<Option<PrimitiveId>>,
 }
 
 /// Whether a candidate line entered the map, or which test, in this order, turned it away.

@@ -100,6 +100,21 @@ impl PoseBook {
         }
         None
     }
+
+    /// The keyframes on which one that is or was in the map hangs, from itself to the one that is in the map.
+    pub fn way_of(&self, reference: KeyframeId) -> Option<Vec<KeyframeId>> {
+        let mut way = vec![reference];
+        let mut current = reference;
+        while !self.keyframes.contains_key(&current) {
+            current = self.removed.get(&current)?.anchor;
+            // Damaged rows may form a ring.
+            if way.len() > self.removed.len() {
+                return None;
+            }
+            way.push(current);
+        }
+        Some(way)
+    }
 }
 
 fn read_anchor(row: &SqliteRow) -> Result<Anchor, StoreError> {

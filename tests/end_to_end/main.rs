@@ -7,4 +7,5 @@ mod maps;
 mod shutdown;
 mod storage;
 mod tracking;
+mod viewer;
 mod writers;

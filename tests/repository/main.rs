@@ -7,3 +7,4 @@ mod files;
 mod floors;
 mod links;
 mod markdown;
+mod viewer;

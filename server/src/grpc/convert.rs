@@ -66,7 +66,7 @@ pub(super) fn located(located: &Located) -> v1::LocalizeResponse {
 pub(super) fn session_event(watched: Watched) -> v1::SessionEvent {
     let event = match watched {
         // Whoever is told of new settings is sent the session.
-        Watched::Event(SessionEvent::Settings) => None,
+        Watched::Event(SessionEvent::Settings | SessionEvent::Saved(_)) => None,
         Watched::Session(view) => Some(Event::Session(session(&view))),
         Watched::Missed(n) => Some(Event::Missed(n)),
         Watched::Event(SessionEvent::Map(change)) => Some(Event::Map(map_event(&change))),

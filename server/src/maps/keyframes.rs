@@ -117,7 +117,7 @@ impl MapQueries {
     }
 }
 
-fn no_keyframe(id: &SessionId, keyframe_id: KeyframeId) -> ApiError {
+pub(super) fn no_keyframe(id: &SessionId, keyframe_id: KeyframeId) -> ApiError {
     let sentence = format!("session {id} has no keyframe {keyframe_id}");
     ApiError::new(ErrorCode::KeyframeNotFound, sentence)
 }

@@ -10,18 +10,25 @@ mod export;
 mod graph;
 mod keyframes;
 mod lines;
+mod observed;
+mod pictures;
 mod place;
 mod points;
 mod primitives;
+mod scene;
+mod shades;
 mod trajectory;
 
 pub use export::{ColmapPart, MapFile, MapFormat};
 pub use graph::{Edge, Graph, GraphKind, GraphQuery, Node};
 pub use keyframes::Keyframe;
 pub use lines::{Line, LineQuery};
+pub use observed::{Observed, VanishingPoint};
+pub use pictures::Picture;
 pub use place::{BoundingBox, Place};
 pub use points::{Point, PointQuery};
 pub use primitives::{Primitive, PrimitiveDetail};
+pub use scene::{ScenePart, SceneParts};
 pub use store::{StoredImage, SubmapChoice, TrajectoryKind, TrajectoryPose};
 pub use trajectory::TrajectoryQuery;
 
@@ -29,8 +36,12 @@ use crate::error::ApiError;
 use crate::model::{Scale, Units};
 use crate::session::SessionId;
 use futures_util::stream::{self, BoxStream, StreamExt};
+use pictures::Pictures;
+use shades::Shades;
 use std::path::PathBuf;
+use std::sync::Arc;
 use store::{Page, Store, StoreError};
+use vision::decode::DecodeLimits;
 
 /// Rows of a batch at most: some ten thousand bytes of an answer.
 const ROWS_PER_BATCH: usize = 512;
@@ -53,12 +64,17 @@ pub struct MapQueries {
     store: Store,
     /// Where files that are being exported have their place on the disk.
     export_dir: PathBuf,
+    /// What images may be to be shown.
+    decode_limits: DecodeLimits,
+    shades: Arc<Shades>,
+    pictures: Arc<Pictures>,
 }
 
 impl MapQueries {
-    /// Answers from a database; files are prepared in `export_dir`.
-    pub fn new(store: Store, export_dir: PathBuf) -> Self {
-        Self { store, export_dir }
+    /// Answers from a database; files are prepared in `export_dir`, and stored images decoded within limits.
+    pub fn new(store: Store, export_dir: PathBuf, decode_limits: DecodeLimits) -> Self {
+        let (shades, pictures) = (Arc::new(Shades::new(decode_limits)), Arc::default());
+        Self { store, export_dir, decode_limits, shades, pictures }
     }
 
     /// What lengths of a session mean.
@@ -106,7 +122,6 @@ where
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::Arc;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     #[tokio::test]

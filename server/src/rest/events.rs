@@ -36,6 +36,16 @@ pub(super) struct FrameEvent {
     submap_id: u32,
     /// The frame became a keyframe.
     is_key_frame: bool,
+    /// Keypoints found in the image.
+    n_keypoints: usize,
+    /// Segments followed into the image or begun in it.
+    n_segments: usize,
+    /// Points that agree with the pose.
+    n_inlier_points: usize,
+    /// Lines that agree with the pose.
+    n_inlier_lines: usize,
+    /// Time the frame took, milliseconds.
+    wall_ms: f64,
     /// The pose was found by recognizing the place.
     #[serde(rename = "relocalised")]
     relocalized: bool,
@@ -105,6 +115,14 @@ pub(super) struct MapEvent {
     n_primitives: usize,
 }
 
+/// Data of an event `scene`: the database holds a newer state of the map; `…/scene?since=` tells what
+/// changed.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub(super) struct SceneEvent {
+    /// The newest revision.
+    revision: String,
+}
+
 /// Data of an event `missed`: events were left out because the client did not read them.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(super) struct MissedEvent {
@@ -123,6 +141,11 @@ impl FrameEvent {
             scale: units.scale(),
             submap_id: report.submap.0,
             is_key_frame: report.is_keyframe,
+            n_keypoints: report.n_keypoints,
+            n_segments: report.n_segments,
+            n_inlier_points: report.n_inlier_points,
+            n_inlier_lines: report.n_inlier_lines,
+            wall_ms: report.wall_ns as f64 * 1e-6,
             relocalized: report.relocalized,
             corrections: report.map_events.iter().map(MapCorrection::from).collect(),
         }
@@ -172,13 +195,14 @@ impl From<&MapChange> for MapEvent {
 }
 
 /// What happens in the session from now on, as server-sent events: `session` (the session as it is now, and
-/// after its options or scale were changed), `frame`, `map` and `missed`, each with a JSON object as its
-/// data. Ends when the session is deleted or the server shuts down.
+/// after its options or scale were changed), `frame`, `map`, `scene` and `missed`, each with a JSON object as
+/// its data. Ends when the session is deleted or the server shuts down.
 #[utoipa::path(get, path = "/v1/sessions/{id}/events", tag = "sessions",
     params(("id", description = "The session's id")), responses(
     (status = 200, description = "The events", content(
         (Session = "text/event-stream"), (FrameEvent = "text/event-stream; event=frame"),
-        (MapEvent = "text/event-stream; event=map"), (MissedEvent = "text/event-stream; event=missed"))),
+        (MapEvent = "text/event-stream; event=map"),
+        (SceneEvent = "text/event-stream; event=scene"), (MissedEvent = "text/event-stream; event=missed"))),
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn events(
@@ -202,6 +226,9 @@ fn event(watched: Watched) -> Option<Event> {
         }
         Watched::Event(SessionEvent::Map(change)) => {
             Event::default().event("map").json_data(MapEvent::from(&*change))
+        }
+        Watched::Event(SessionEvent::Saved(revision)) => {
+            Event::default().event("scene").json_data(SceneEvent { revision: revision.to_string() })
         }
         // Whoever is told of new settings is sent the session.
         Watched::Event(SessionEvent::Settings) => return None,

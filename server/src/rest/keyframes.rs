@@ -4,7 +4,7 @@ use super::extract::{NoConditions, PageParams, Paged};
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::ids::parse_id;
-use crate::maps::Keyframe;
+use crate::maps::{Keyframe, Observed};
 use crate::model::Scale;
 use crate::session::SessionId;
 use axum::Json;
@@ -55,6 +55,20 @@ pub(super) async fn get(
 ) -> Result<Json<Keyframe>, ApiError> {
     let id = SessionId::parse(&id, "id")?;
     Ok(Json(app.service.maps().keyframe(&id, parse_id("kf", &kf)?).await?))
+}
+
+/// What a keyframe measured: keypoints, segments and vanishing points, and what of the map they see.
+#[utoipa::path(get, path = "/v1/sessions/{id}/keyframes/{kf}/observed", tag = "maps",
+    params(("id", description = "The session's id"), ("kf", description = "The keyframe's id")), responses(
+    (status = 200, description = "Keypoints, segments and vanishing points", body = Observed),
+    (status = 404, description = "No such keyframe", body = ProblemDetails, content_type = "application/problem+json")
+))]
+pub(super) async fn observed(
+    State(app): State<App>,
+    Path((id, kf)): Path<(String, String)>,
+) -> Result<Json<Observed>, ApiError> {
+    let id = SessionId::parse(&id, "id")?;
+    Ok(Json(app.service.maps().observed_keyframe(&id, parse_id("kf", &kf)?).await?))
 }
 
 /// A keyframe's image, as it was sent; pixels sent raw come as PNG.

@@ -1,10 +1,11 @@
 //! The HTTP skin: decode, call the service, encode.
 
+mod assets;
 mod events;
 mod extract;
+mod frames;
 mod graph;
 mod keyframes;
-mod landing;
 mod lines;
 mod localize;
 mod map;
@@ -13,6 +14,7 @@ mod place;
 mod points;
 mod primitives;
 mod problem;
+mod scene;
 mod sessions;
 mod system;
 mod trajectory;
@@ -73,16 +75,21 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
         .routes(routes!(sessions::get, sessions::update, sessions::delete))
         .routes(routes!(sessions::scale))
         .routes(routes!(sessions::optimize))
+        .routes(routes!(scene::picture))
         .routes(routes!(events::events))
+        .routes(routes!(frames::image))
+        .routes(routes!(frames::observed))
         .routes(routes!(trajectory::trajectory))
         .routes(routes!(keyframes::list))
         .routes(routes!(keyframes::get))
         .routes(routes!(keyframes::image))
+        .routes(routes!(keyframes::observed))
         .routes(routes!(points::list))
         .routes(routes!(lines::list))
         .routes(routes!(primitives::list))
         .routes(routes!(primitives::get))
         .routes(routes!(graph::graph))
+        .routes(routes!(scene::scene))
         .routes(routes!(map::map))
         .routes(routes!(localize::localize).layer(DefaultBodyLimit::max(max_image_bytes)))
         .routes(routes!(system::healthz))
@@ -100,7 +107,9 @@ pub fn router(app: App) -> Router {
             "/openapi.json",
             axum::routing::get(move || async move { axum::Json(document.as_ref().clone()) }),
         )
-        .route("/", axum::routing::get(landing::page))
+        .route("/", axum::routing::get(assets::page))
+        .route("/favicon.svg", axum::routing::get(assets::icon))
+        .route("/assets/{name}", axum::routing::get(assets::asset))
         .fallback(problem::not_found)
         .method_not_allowed_fallback(problem::method_not_allowed)
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))

@@ -1,5 +1,7 @@
 //! What happens in a session, for whoever watches.
 
+use super::gallery::{Gallery, ShownFrame};
+use super::journal::{Journal, Revision};
 use slam::map::{KeyframeId, PrimitiveId};
 use slam::{FrameReport, MapUpdate};
 use std::sync::Arc;
@@ -20,6 +22,8 @@ pub enum SessionEvent {
     },
     /// The map was changed.
     Map(Arc<MapChange>),
+    /// The database holds a newer state of the map.
+    Saved(Revision),
     /// The session's options or scale were changed.
     Settings,
 }
@@ -58,38 +62,72 @@ impl MapChange {
     }
 }
 
-/// Where a session's events go. Costs next to nothing while nobody watches.
+/// Where a session's events go, and what is remembered of them. Costs next to nothing while nobody watches.
 #[derive(Clone, Debug)]
-pub struct Events(broadcast::Sender<SessionEvent>);
+pub struct Events {
+    sender: broadcast::Sender<SessionEvent>,
+    journal: Journal,
+    gallery: Gallery,
+}
 
 impl Default for Events {
     fn default() -> Self {
-        Self(broadcast::Sender::new(CAPACITY))
+        let (journal, gallery) = (Journal::default(), Gallery::default());
+        Self { sender: broadcast::Sender::new(CAPACITY), journal, gallery }
     }
 }
 
 impl Events {
     /// The events from now on.
     pub fn watch(&self) -> broadcast::Receiver<SessionEvent> {
-        self.0.subscribe()
+        self.sender.subscribe()
     }
 
-    /// A frame was tracked, or tried to be.
-    pub fn frame(&self, report: &FrameReport, metres_per_unit: Option<f64>) {
-        if self.0.receiver_count() > 0 {
-            let _ = self.0.send(SessionEvent::Frame { report: Arc::new(report.clone()), metres_per_unit });
+    /// What changed in the map, commit by commit.
+    pub fn journal(&self) -> &Journal {
+        &self.journal
+    }
+
+    /// The last images.
+    pub fn gallery(&self) -> &Gallery {
+        &self.gallery
+    }
+
+    /// A frame was tracked, or tried to be. `shown` is asked for only if somebody watches.
+    pub fn frame(
+        &self,
+        report: &FrameReport,
+        metres_per_unit: Option<f64>,
+        shown: impl FnOnce() -> Option<ShownFrame>,
+    ) {
+        let reason = report.outcome.reason();
+        if !reason.is_empty() {
+            self.journal.note_reason(report.sequence, reason);
+        }
+        if self.sender.receiver_count() > 0 {
+            if let Some(shown) = shown() {
+                self.gallery.show(shown);
+            }
+            let _ =
+                self.sender.send(SessionEvent::Frame { report: Arc::new(report.clone()), metres_per_unit });
         }
     }
 
     /// The map was changed.
     pub fn map(&self, update: &MapUpdate) {
-        if self.0.receiver_count() > 0 && !update.changes.is_empty() {
-            let _ = self.0.send(SessionEvent::Map(Arc::new(MapChange::of(update))));
+        if self.sender.receiver_count() > 0 && !update.changes.is_empty() {
+            let _ = self.sender.send(SessionEvent::Map(Arc::new(MapChange::of(update))));
         }
+    }
+
+    /// An update is in the database.
+    pub fn saved(&self, update: &MapUpdate) {
+        let revision = self.journal.note(update);
+        let _ = self.sender.send(SessionEvent::Saved(revision));
     }
 
     /// The options or the scale were changed.
     pub fn settings(&self) {
-        let _ = self.0.send(SessionEvent::Settings);
+        let _ = self.sender.send(SessionEvent::Settings);
     }
 }

@@ -8,7 +8,7 @@ use png::{BitDepth, ColorType, Compression, Encoder, Filter};
 use slam::MapUpdate;
 use slam::map::{FrameState, KeyframeId};
 use std::collections::VecDeque;
-use store::KeyframeImage;
+use store::{KeyframeImage, StoredImage};
 use vision::decode::PixelFormat;
 
 /// Candidates held at most: over two seconds of video, more than the engine looks back for a first view.
@@ -56,8 +56,13 @@ impl CandidateImages {
 ///
 /// `None` if the pixels do not fit the size, which the decoder would have refused before.
 pub fn to_file(keyframe: KeyframeId, image: &SentImage) -> Option<KeyframeImage> {
-    let file =
-        |media_type: &str, bytes| Some(KeyframeImage { keyframe, media_type: media_type.to_owned(), bytes });
+    let StoredImage { media_type, bytes } = as_file(image)?;
+    Some(KeyframeImage { keyframe, media_type, bytes })
+}
+
+/// An image as a file: PNG and JPEG as they were sent, pixels as PNG; `None` as for [`to_file`].
+pub fn as_file(image: &SentImage) -> Option<StoredImage> {
+    let file = |media_type: &str, bytes| Some(StoredImage { media_type: media_type.to_owned(), bytes });
     let format = match image.encoding {
         Encoding::Raw(format) => format,
         Encoding::Png | Encoding::Jpeg | Encoding::Auto => {

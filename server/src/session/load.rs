@@ -1,6 +1,7 @@
 //! From a stored session to an engine that goes on with it.
 
 use super::SessionId;
+use super::events::Events;
 use super::writer::Sink;
 use crate::clock::SystemClock;
 use crate::error::{ApiError, ErrorCode};
@@ -45,9 +46,10 @@ impl LoadContext<'_> {
         History { store: self.store.clone(), id: self.id.clone() }
     }
 
-    /// Where the session's updates are saved.
-    pub fn sink(&self, last_state: FrameState) -> impl Sink + use<> {
-        SessionSink { store: self.store.clone(), id: self.id.clone(), last_state: Mutex::new(last_state) }
+    /// Where the session's updates are saved; `events` is told of each.
+    pub fn sink(&self, last_state: FrameState, events: Events) -> impl Sink + use<> {
+        let (store, id) = (self.store.clone(), self.id.clone());
+        SessionSink { store, id, last_state: Mutex::new(last_state), events }
     }
 }
 
@@ -115,6 +117,7 @@ struct SessionSink {
     id: SessionId,
     /// How tracking the last frame ended, for updates without frames.
     last_state: Mutex<FrameState>,
+    events: Events,
 }
 
 impl Sink for SessionSink {
@@ -129,6 +132,7 @@ impl Sink for SessionSink {
             *last_state
         };
         self.store.save_update(self.id.as_str(), update, SessionStatus { state }, images).await?;
+        self.events.saved(update);
         Ok(())
     }
 }

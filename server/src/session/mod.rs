@@ -3,8 +3,10 @@
 mod decoder;
 mod events;
 mod frame;
+mod gallery;
 mod id;
 mod images;
+mod journal;
 mod load;
 mod localize;
 mod queue;
@@ -16,7 +18,10 @@ mod writer;
 
 pub use events::{MapChange, SessionEvent};
 pub use frame::{Answer, Before, Encoding, Rejection, Reply, SentFrame, SentImage};
+pub use gallery::ShownFrame;
 pub use id::SessionId;
+pub use images::as_file;
+pub use journal::{Revision, SceneChanges, Since};
 pub use load::LoadContext;
 pub use localize::{Located, localize};
 pub use queue::{Closed, Ending, FrameQueue, Policy, Queued};

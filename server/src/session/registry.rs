@@ -1,6 +1,8 @@
 //! The sessions that are in memory, and who writes into them.
 
 use super::events::{Events, SessionEvent};
+use super::gallery::ShownFrame;
+use super::journal::{Revision, Since};
 use super::load::{self, LoadContext, StoredSession};
 use super::queue::{FrameQueue, Policy};
 use super::view::{Live, LoadedView};
@@ -207,6 +209,18 @@ impl Registry {
         self.slot(id).events.watch()
     }
 
+    /// What changed in a session's map since a revision. The session must be there: asking makes a place for
+    /// it.
+    pub fn since(&self, id: &SessionId, known: Option<Revision>) -> Since {
+        self.slot(id).events.journal().since(known)
+    }
+
+    /// One of the last frames of a session that is watched.
+    pub fn shown_frame(&self, id: &SessionId, sequence: u64) -> Option<Arc<ShownFrame>> {
+        let slot = lock(&self.slots).get(id).cloned()?;
+        slot.events.gallery().frame(sequence)
+    }
+
     /// Ends when the server shuts down.
     pub fn closed(&self) -> CancellationToken {
         self.closed.clone()
@@ -281,7 +295,7 @@ impl Registry {
         let stored = load::read(&context).await?;
         let last_frame = stored.last_frame();
         let (outbox, saving) = writer::start(
-            context.sink(stored.last_state),
+            context.sink(stored.last_state, events.clone()),
             last_frame.map(|(sequence, _)| sequence),
             stored.deterministic,
             self.config.sessions.save_retry(),

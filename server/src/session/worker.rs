@@ -8,6 +8,7 @@ use super::SessionId;
 use super::decoder::{self, Decoded};
 use super::events::Events;
 use super::frame::{Answer, Before, Rejection, Reply, SentImage};
+use super::gallery::ShownFrame;
 use super::images::CandidateImages;
 use super::load::History;
 use super::queue::{Ending, FrameQueue, Policy};
@@ -259,12 +260,18 @@ impl Worker {
         self.n_frames += 1;
         let state = report.outcome.state();
         if self.config.keep_images {
-            self.images.offer(sequence, sent, state, report.is_keyframe);
+            self.images.offer(sequence, sent.clone(), state, report.is_keyframe);
         }
         self.hand_over_updates(Pipeline::take_updates);
         self.publish(Some(state));
         let metres_per_unit = *self.ends.scale.borrow();
-        self.ends.events.frame(&report, metres_per_unit);
+        // Where images are not to be kept, they are not shown either.
+        let keep_images = self.config.keep_images;
+        let shown = || {
+            let observed = self.pipeline.observed().filter(|_| keep_images)?;
+            Some(ShownFrame { image: sent, observed })
+        };
+        self.ends.events.frame(&report, metres_per_unit, shown);
         record_frame(&report, queued_ns);
         self.recent.remember(report.clone());
         let durable_sequence = self.outbox.durable_sequence();

@@ -52,7 +52,11 @@ impl Api {
         body: impl Into<Body>,
     ) -> Response<Body> {
         let request = Request::builder().method(method).uri(path).header("content-type", content_type);
-        self.router.clone().oneshot(request.body(body.into()).unwrap()).await.unwrap()
+        self.call(request.body(body.into()).unwrap()).await
+    }
+
+    pub async fn call(&self, request: Request<Body>) -> Response<Body> {
+        self.router.clone().oneshot(request).await.unwrap()
     }
 
     pub async fn text(&self, path: &str) -> String {

@@ -6,3 +6,4 @@ mod grpc;
 mod rest;
 mod rounded;
 mod routes;
+mod scene;

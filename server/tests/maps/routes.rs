@@ -68,7 +68,6 @@ async fn every_question_has_its_answer() {
         ("map_colmap_cameras", "/v1/sessions/s/map?format=colmap&part=cameras"),
         ("map_colmap_images", "/v1/sessions/s/map?format=colmap&part=images"),
         ("map_colmap_points", "/v1/sessions/s/map?format=colmap&part=points3D"),
-        ("front_page", "/"),
         ("health", "/healthz"),
         ("readiness", "/readyz"),
         ("no_such_path", "/v1/maps"),

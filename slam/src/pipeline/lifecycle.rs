@@ -10,7 +10,7 @@ use crate::input::{ResumeError, ResumeState};
 use crate::map::{Map, MapUpdate};
 use crate::mapping::Mapper;
 use crate::mapping::stage::MappingStage;
-use crate::report::LineJudgement;
+use crate::report::{LineJudgement, ObservedFrame};
 use crate::submaps::SubmapPolicy;
 use crate::tracking::Tracker;
 use crate::trajectory::TrajectoryLog;
@@ -67,6 +67,7 @@ impl Pipeline {
             next_keyframe_idx: map.last_ids().keyframe,
             map: Arc::new(map),
             last_frame: state.last_frame,
+            last_view: None,
             mapping_enabled: true,
             lossless: true,
             config,
@@ -113,6 +114,30 @@ impl Pipeline {
     /// The newest consistent state of the map.
     pub fn map(&self) -> Arc<Map> {
         self.mapping.newest_map()
+    }
+
+    /// What the last frame measured and what of it was recognized; `None` before the first.
+    pub fn observed(&self) -> Option<ObservedFrame> {
+        let view = self.last_view.as_ref()?;
+        let (sequence, features) = (view.sequence, view.features.clone());
+        let recognized = self.tracker.last_frame().filter(|frame| frame.sequence == sequence);
+        let (n_points, n_segments) = (features.len(), features.lines.len());
+        Some(match recognized {
+            Some(frame) => ObservedFrame {
+                sequence,
+                features,
+                points: frame.points.clone(),
+                lines: frame.lines.clone(),
+                primitives: frame.primitives.clone(),
+            },
+            None => ObservedFrame {
+                sequence,
+                features,
+                points: vec![None; n_points],
+                lines: vec![None; n_segments],
+                primitives: vec![None; n_segments],
+            },
+        })
     }
 
     /// Matches are scarce before there is a map, so more features are asked for.

@@ -96,6 +96,12 @@ pub(crate) fn positions(bytes: &[u8]) -> Result<Vec<[f32; 2]>, BlobError> {
     Ok(parse(bytes)?.keypoints.iter().map(|keypoint| [keypoint.x, keypoint.y]).collect())
 }
 
+/// Where the packed keypoints are, pixels of the working image, and the segments beside them.
+pub(crate) fn measured(bytes: &[u8]) -> Result<(Vec<[f32; 2]>, Vec<LineFeature>), BlobError> {
+    let Parsed { keypoints, segments, .. } = parse(bytes)?;
+    Ok((keypoints.iter().map(|keypoint| [keypoint.x, keypoint.y]).collect(), segments))
+}
+
 struct Parsed {
     settings: FeatureSettings,
     keypoints: Vec<Keypoint>,

@@ -6,7 +6,7 @@ mod reader;
 mod vanishing;
 
 pub(crate) use features::{
-    FeatureSettings, MeasuredCounts, check_features, decode_features, encode_features, positions,
+    FeatureSettings, MeasuredCounts, check_features, decode_features, encode_features, measured, positions,
 };
 pub(crate) use observations::{decode_observations, encode_observations};
 pub(crate) use vanishing::{decode_covariance, decode_vanishing, encode_covariance, encode_vanishing};

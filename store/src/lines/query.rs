@@ -10,6 +10,7 @@ use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
 use nalgebra::Vector3;
 use slam::map::{LineId, LineLandmark, PrimitiveId, SubmapId};
 use sqlx::{QueryBuilder, Row, SqliteConnection};
+use std::collections::BTreeSet;
 
 /// Which lines are wanted; every condition given must hold for the part of the line that was seen. Bounds
 /// that are not finite numbers hold for none.
@@ -78,14 +79,22 @@ impl Store {
         let mut reader = self.reader().await?;
         let number = session_number(&mut reader, session).await?;
         let cursor = LineCursor::new(&mut reader, number, query, 0).await?;
-        drop(reader);
-        let start = (self.clone(), cursor);
-        let steps = stream::try_unfold(start, |(store, mut cursor)| async move {
-            let step = cursor.step(&mut *store.reader().await?).await?;
-            let items = step.map(|lines| stream::iter(lines).map(Ok::<_, StoreError>));
-            Ok::<_, StoreError>(items.map(|items| (items, (store, cursor))))
-        });
-        Ok(steps.try_flatten().boxed())
+        Ok(cursor.stream(self.clone()))
+    }
+
+    /// Those of the given lines that there are, in the order of their ids. Reads as the stream goes on.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`], before the stream begins.
+    pub async fn lines_of(
+        &self,
+        session: &str,
+        ids: &BTreeSet<LineId>,
+    ) -> Result<BoxStream<'static, Result<LineLandmark, StoreError>>, StoreError> {
+        let session = session_number(&mut *self.reader().await?, session).await?;
+        let ids: Vec<i64> = ids.iter().map(|id| id.get().min(MAX_POINT_ID) as i64).collect();
+        let (query, candidates) = (LineQuery::default(), Some(ids.into_iter()));
+        Ok(LineCursor { session, query, after: 0, candidates }.stream(self.clone()))
     }
 }
 
@@ -112,6 +121,16 @@ impl LineCursor {
             None => None,
         };
         Ok(Self { session, query, after, candidates })
+    }
+
+    /// The rest of the lines; no reader is held between steps.
+    fn stream(self, store: Store) -> BoxStream<'static, Result<LineLandmark, StoreError>> {
+        let steps = stream::try_unfold((store, self), |(store, mut cursor)| async move {
+            let step = cursor.step(&mut *store.reader().await?).await?;
+            let items = step.map(|lines| stream::iter(lines).map(Ok::<_, StoreError>));
+            Ok::<_, StoreError>(items.map(|items| (items, (store, cursor))))
+        });
+        steps.try_flatten().boxed()
     }
 
     /// The next lines, possibly none of those looked at; `None` at the end.

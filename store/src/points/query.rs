@@ -9,6 +9,7 @@ use nalgebra::Vector3;
 use slam::map::{PointId, PointLandmark, SubmapId};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{QueryBuilder, Row, Sqlite, SqliteConnection};
+use std::collections::BTreeSet;
 
 /// A box with sides along the axes, its faces included; map units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -117,6 +118,20 @@ impl Store {
         Ok(Page::of(points, page_size, |last| last.id))
     }
 
+    /// Those of the given points that there are, in the order of their ids. Reads as the stream goes on.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`], before the stream begins.
+    pub async fn points_of(
+        &self,
+        session: &str,
+        ids: &BTreeSet<PointId>,
+    ) -> Result<BoxStream<'static, Result<PointLandmark, StoreError>>, StoreError> {
+        let number = session_number(&mut *self.reader().await?, session).await?;
+        let ids: Vec<i64> = ids.iter().map(|id| id.get().min(MAX_POINT_ID) as i64).collect();
+        Ok(Cursor::of(self.clone(), number, PointQuery::default(), Some(ids.into_iter())).stream())
+    }
+
     /// Every wanted point in the order of their ids.
     ///
     /// Reads as the stream goes on and holds nothing in between but, for a query with a place, the ids of the
@@ -136,12 +151,7 @@ impl Store {
             None => None,
         };
         drop(reader);
-        let cursor = Cursor { store: self.clone(), session: number, query, after: 0, candidates };
-        let steps = stream::try_unfold(cursor, |mut cursor| async move {
-            let step = cursor.step().await?;
-            Ok::<_, StoreError>(step.map(|points| (stream::iter(points).map(Ok::<_, StoreError>), cursor)))
-        });
-        Ok(steps.try_flatten().boxed())
+        Ok(Cursor::of(self.clone(), number, query, candidates).stream())
     }
 }
 
@@ -157,6 +167,24 @@ struct Cursor {
 }
 
 impl Cursor {
+    /// Before the first point.
+    fn of(
+        store: Store,
+        session: i64,
+        query: PointQuery,
+        candidates: Option<std::vec::IntoIter<i64>>,
+    ) -> Self {
+        Self { store, session, query, after: 0, candidates }
+    }
+
+    fn stream(self) -> BoxStream<'static, Result<PointLandmark, StoreError>> {
+        let steps = stream::try_unfold(self, |mut cursor| async move {
+            let step = cursor.step().await?;
+            Ok::<_, StoreError>(step.map(|points| (stream::iter(points).map(Ok::<_, StoreError>), cursor)))
+        });
+        steps.try_flatten().boxed()
+    }
+
     /// The next points, possibly none of those looked at; `None` at the end.
     async fn step(&mut self) -> Result<Option<Vec<PointLandmark>>, StoreError> {
         let mut reader = self.store.reader().await?;

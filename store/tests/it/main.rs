@@ -10,6 +10,7 @@ mod save_load;
 mod schema;
 mod sessions;
 mod trajectory;
+mod viewing;
 
 /// Maps made by hand, and databases of them.
 mod world {
