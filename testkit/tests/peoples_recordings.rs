@@ -39,7 +39,7 @@ fn run(name: &str, n_frames: usize) -> Outcome {
         let shown = truth.poses().iter().filter(|pose| pose.timestamp_ns <= last_ns).copied().collect();
         let evaluation = evaluate(&Trajectory::new(shown), &poses, &EvaluationOptions::default());
         let evaluation = evaluation.unwrap_or_else(|failed| panic!("{name}: {failed}"));
-        evaluation.ate_rmse / evaluation.path_length
+        evaluation.ate_rmse / evaluation.path
     });
     let first_live = first_live.unwrap_or(usize::MAX);
     Outcome { n_frames: frames.len(), first_live, n_posed: poses.len(), ate_share }
