@@ -71,6 +71,7 @@ async function emptyAndAway(browser) {
     await server.start();
     await page.getByText('No sessions yet.').waitFor();
     passed('the list comes back with the server');
+    await page.context().close();
     complaints.length = 0; // The browser itself complains about a server that is away.
   } finally {
     await server.remove();

@@ -126,6 +126,12 @@ impl Events {
         let _ = self.sender.send(SessionEvent::Saved(revision));
     }
 
+    /// The session left memory: nothing is remembered of it but how new it is.
+    pub fn unloaded(&self) {
+        self.journal.forget();
+        self.gallery.clear();
+    }
+
     /// The options or the scale were changed.
     pub fn settings(&self) {
         let _ = self.sender.send(SessionEvent::Settings);

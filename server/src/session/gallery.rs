@@ -36,6 +36,11 @@ impl Gallery {
         }
     }
 
+    /// Forgets every frame, when the session leaves memory.
+    pub fn clear(&self) {
+        self.lock().clear();
+    }
+
     /// A frame, if it is still kept.
     pub fn frame(&self, sequence: u64) -> Option<Arc<ShownFrame>> {
         self.lock().iter().find(|frame| frame.observed.sequence == sequence).cloned()

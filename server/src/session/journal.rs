@@ -94,6 +94,13 @@ impl Journal {
         inner.reasons.push_back((sequence, reason));
     }
 
+    /// Forgets what changed, when the session leaves memory: whoever has the newest revision still has it.
+    pub fn forget(&self) {
+        let mut inner = self.lock();
+        inner.entries.clear();
+        inner.n_ids = 0;
+    }
+
     /// What changed since a revision.
     pub fn since(&self, known: Option<Revision>) -> Since {
         let inner = self.lock();
@@ -181,6 +188,19 @@ mod tests {
         assert!(other.since(Some(known)).changes.is_none(), "a revision of another start of the server");
         let ahead = Revision { number: known.number + 1, ..known };
         assert!(journal.since(Some(ahead)).changes.is_none());
+    }
+
+    #[test]
+    fn a_forgotten_journal_still_knows_who_is_up_to_date() {
+        let journal = Journal::default();
+        let first = journal.note(&update(&[1], &[]));
+        let newest = journal.note(&update(&[2], &[]));
+        journal.forget();
+        assert_eq!(points(&journal.since(Some(newest))), Some((vec![], vec![])));
+        assert!(journal.since(Some(first)).changes.is_none());
+        let later = journal.note(&update(&[3], &[]));
+        assert_eq!(points(&journal.since(Some(newest))), Some((vec![3], vec![])));
+        assert_eq!(journal.since(None).revision, later);
     }
 
     #[test]

@@ -360,10 +360,12 @@ async fn spawn(beginning: Beginning) -> Result<(), ApiError> {
         };
         let _ = ready_sender.send(Ok(()));
         tracing::info!(session.id = %id, "session {id} is in memory");
+        let events = ends.events.clone();
         Worker::new(id, config, pipeline, persistence, ends, runtime.clone()).run();
         if let Err(error) = runtime.block_on(saving) {
             tracing::error!(error = %error, "a session's writer failed: {error}");
         }
+        events.unloaded();
     };
     thread.spawn(run).map_err(ApiError::internal)?;
     ready.await.map_err(ApiError::internal)?
