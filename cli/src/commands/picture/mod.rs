@@ -23,6 +23,8 @@ const N_COLORS: usize = 6;
 const MAX_POINTS: usize = 8000;
 /// Lines that are drawn, at most: 20 bytes each. Likewise.
 const MAX_LINES: usize = 3000;
+/// Steps of the usual length between two poses that make a gap, in which no way is drawn.
+const GAP_STEPS: i64 = 20;
 /// Vertices of a trajectory that are drawn, at most: 10 bytes each. Likewise.
 const MAX_VERTICES: usize = 2500;
 
@@ -79,19 +81,13 @@ impl Scene {
         let frame = Frame::around([&truth, &estimate], points.iter().chain(lines.as_flattened()));
         let mut sheet = Sheet::new(&self.title, &frame);
         self.add_map(&mut sheet, &points, &lines);
-        if !truth.is_empty() {
-            sheet.add(Entry {
-                label: "truth".to_owned(),
-                style: Style::Truth,
-                mark: Mark::Path(thinned(&truth, MAX_VERTICES)),
-            });
+        if let Some(trajectory) = &self.truth {
+            let mark = Mark::Paths(pieces(&truth, trajectory));
+            sheet.add(Entry { label: "truth".to_owned(), style: Style::Truth, mark });
         }
         let label = format!("estimate, {} poses", estimate.len());
-        sheet.add(Entry {
-            label,
-            style: Style::Estimate,
-            mark: Mark::Path(thinned(&estimate, MAX_VERTICES)),
-        });
+        let mark = Mark::Paths(pieces(&estimate, &self.estimate));
+        sheet.add(Entry { label, style: Style::Estimate, mark });
         let unit = if self.truth.is_some() { "of the truth" } else { "of the map" };
         Ok(sheet.finish(unit))
     }
@@ -179,6 +175,26 @@ fn alignment(truth: &Trajectory, estimate: &Trajectory) -> Result<Similarity> {
     )
 }
 
+/// A path in pieces, which end where the trajectory has a gap: nothing is known of the way across.
+fn pieces(path: &[[f64; 2]], trajectory: &Trajectory) -> Vec<Vec<[f64; 2]>> {
+    let steps =
+        trajectory.poses().windows(2).map(|pair| pair[1].timestamp_ns.saturating_sub(pair[0].timestamp_ns));
+    let steps: Vec<i64> = steps.collect();
+    let mut sorted = steps.clone();
+    sorted.sort_unstable();
+    let longest = sorted.get(sorted.len() / 2).map_or(i64::MAX, |median| median.saturating_mul(GAP_STEPS));
+    let mut pieces = Vec::new();
+    let mut start = 0;
+    let ends = steps.iter().enumerate().filter(|(_, step)| **step > longest).map(|(idx, _)| idx + 1);
+    for end in ends.chain([path.len()]) {
+        // In proportion, so that many pieces are not more vertices than one.
+        let most = (MAX_VERTICES * (end - start)).div_ceil(path.len().max(1));
+        pieces.push(thinned(&path[start..end], most.max(2)));
+        start = end;
+    }
+    pieces
+}
+
 /// At most so many of them, evenly, with the first and the last.
 fn thinned(all: &[[f64; 2]], most: usize) -> Vec<[f64; 2]> {
     let share = all.len().div_ceil(most).max(1);
@@ -239,6 +255,17 @@ mod tests {
             assert!(picture.contains(label), "{label}");
         }
         assert_eq!(path(&picture, "p0").matches('M').count(), 4);
+    }
+
+    #[test]
+    fn no_way_is_drawn_across_a_gap() {
+        let mut scene = scene();
+        let poses = scene.estimate.poses().iter().enumerate();
+        let kept = poses.filter(|(idx, _)| !(10..40).contains(idx)).map(|(_, pose)| *pose);
+        scene.estimate = Trajectory::new(kept.collect());
+        let picture = scene.draw().unwrap();
+        assert_eq!(path(&picture, "estimate").matches('M').count(), 2);
+        assert_eq!(path(&picture, "truth").matches('M').count(), 1);
     }
 
     #[test]

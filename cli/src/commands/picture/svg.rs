@@ -14,8 +14,8 @@ const ROW: f64 = 44.0;
 const N_COLUMNS: usize = 3;
 /// Length of a legend's sample, units.
 const SAMPLE: f64 = 56.0;
-/// The scale bar is about this share of the width.
-const SCALE_BAR_SHARE: f64 = 0.2;
+/// The scale bar is at most this share of the width, so that its label fits beside it.
+const SCALE_BAR_SHARE: f64 = 0.1;
 
 /// Colors for light pages, and what differs on dark ones. Those of the primitives can be told apart on both,
 /// and with the usual forms of color blindness [Okabe and Ito 2008].
@@ -69,8 +69,8 @@ impl Style {
 pub enum Mark {
     /// A dot at each place.
     Points(Vec<[f64; 2]>),
-    /// A line from place to place.
-    Path(Vec<[f64; 2]>),
+    /// Lines from place to place.
+    Paths(Vec<Vec<[f64; 2]>>),
     /// Single lines.
     Segments(Vec<[[f64; 2]; 2]>),
 }
@@ -108,7 +108,7 @@ impl Sheet {
         let mut path = String::new();
         match &entry.mark {
             Mark::Points(points) => points.iter().for_each(|point| self.push(&mut path, &[*point])),
-            Mark::Path(places) => self.push(&mut path, places),
+            Mark::Paths(paths) => paths.iter().for_each(|places| self.push(&mut path, places)),
             Mark::Segments(segments) => segments.iter().for_each(|ends| self.push(&mut path, ends)),
         }
         // Writing to a string cannot fail.
@@ -235,7 +235,7 @@ mod tests {
         // 1600 less two margins of 24 are ten units of the world.
         assert!(drawn(Mark::Points(vec![[0.0, 0.0], [10.0, 5.0]])).contains("d=\"M24 24h0M1576 800h0\""));
         assert!(
-            drawn(Mark::Path(vec![[0.0, 0.0], [0.0, 0.0], [5.0, 0.0], [5.0, 5.0]]))
+            drawn(Mark::Paths(vec![vec![[0.0, 0.0], [0.0, 0.0], [5.0, 0.0], [5.0, 5.0]]]))
                 .contains("d=\"M24 24l776 0l0 776\"")
         );
         let segments =
@@ -247,8 +247,8 @@ mod tests {
     fn words_are_escaped_and_the_scale_bar_is_as_long_as_it_says() {
         let text = drawn(Mark::Points(Vec::new()));
         assert!(text.contains("<title>a &lt; b</title>") && text.contains(">x &amp; y</text>"));
-        // Two of ten units of the world, of 1552 on the sheet.
-        assert!(text.contains("h310m") && text.contains(">2 units of the map<"), "{text}");
+        // One of ten units of the world, of 1552 on the sheet.
+        assert!(text.contains("h155m") && text.contains(">1 unit of the map<"), "{text}");
     }
 
     #[test]
