@@ -53,6 +53,8 @@ mod check;
 mod delete;
 mod digest;
 mod error;
+#[cfg(fuzzing)]
+pub mod fuzzing;
 mod graph;
 mod keyframes;
 mod lines;

@@ -10,6 +10,8 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 
 pub use json::SessionOptions;
+#[cfg(fuzzing)]
+pub(crate) use json::decode_camera;
 
 /// A session to be made.
 #[derive(Clone, Debug, PartialEq)]
