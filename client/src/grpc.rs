@@ -129,6 +129,36 @@ impl SlamClient {
         self.unpack(answer).map(|_| ())
     }
 
+    /// All points of a session's map, as of its last commit.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, or if the connection breaks.
+    pub async fn points(&mut self, session_id: &str) -> Result<Vec<v1::Point>, ClientError> {
+        let request = v1::QueryPointsRequest { session_id: session_id.to_owned(), ..Default::default() };
+        let answer = self.grpc.query_points(request).await;
+        let mut batches = self.unpack(answer)?;
+        let mut points = Vec::new();
+        while let Some(batch) = batches.message().await.map_err(|status| self.refused(&status))? {
+            points.extend(batch.points);
+        }
+        Ok(points)
+    }
+
+    /// All lines of a session's map, as of its last commit.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, or if the connection breaks.
+    pub async fn lines(&mut self, session_id: &str) -> Result<Vec<v1::Line>, ClientError> {
+        let request = v1::QueryLinesRequest { session_id: session_id.to_owned(), ..Default::default() };
+        let answer = self.grpc.query_lines(request).await;
+        let mut batches = self.unpack(answer)?;
+        let mut lines = Vec::new();
+        while let Some(batch) = batches.message().await.map_err(|status| self.refused(&status))? {
+            lines.extend(batch.lines);
+        }
+        Ok(lines)
+    }
+
     /// Changes a session's options; they hold from its next stream on. What an option leaves out stays as it
     /// is.
     ///
@@ -227,7 +257,11 @@ impl SlamClient {
     }
 
     fn unpack<T>(&self, answer: Result<Response<T>, Status>) -> Result<T, ClientError> {
-        answer.map(Response::into_inner).map_err(|status| ClientError::from_status(&self.server(), &status))
+        answer.map(Response::into_inner).map_err(|status| self.refused(&status))
+    }
+
+    fn refused(&self, status: &Status) -> ClientError {
+        ClientError::from_status(&self.server(), status)
     }
 }
 

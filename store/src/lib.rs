@@ -54,6 +54,8 @@ mod delete;
 mod digest;
 mod error;
 mod frames;
+#[cfg(fuzzing)]
+pub mod fuzzing;
 mod graph;
 mod keyframes;
 mod lines;

@@ -1,5 +1,5 @@
-//! Recordings as people make them, by phone, drone and car, and of weak texture: from which frame on the engine
-//! has a pose, how many frames get one, and how wrong they are. Folders of docs/datasets.md.
+//! Recordings as people make them, by phone, drone and car, and of weak texture: from which frame on the
+//! engine has a pose, how many frames get one, and how wrong they are. Folders of docs/datasets.md.
 
 use recordings::{EvaluationOptions, Recording, StampedPose, Trajectory, evaluate, find_folder};
 use slam::report::TrackingOutcome;

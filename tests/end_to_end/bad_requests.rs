@@ -21,6 +21,12 @@ async fn an_impossible_calibration_is_refused_by_the_name_of_its_field() {
         ("camera.fx", v1::Camera { fx: -1.0, ..good.clone() }),
         ("camera.fx", v1::Camera { fx: f64::NAN, ..good.clone() }),
         ("camera.fy", v1::Camera { fy: f64::INFINITY, ..good.clone() }),
+        // Found by fuzzing: undistorted, its pixels were infinitely far away.
+        (
+            "camera.fx",
+            v1::Camera { fx: 1e-306, model: radtan, distortion: vec![-0.28, 0.07, 0.0, 0.0], ..good.clone() },
+        ),
+        ("camera.fy", v1::Camera { fy: 1e9, ..good.clone() }),
         ("camera.cx", v1::Camera { cx: 1e9, ..good.clone() }),
         ("camera.width", v1::Camera { width: 159, ..good.clone() }),
         ("camera.height", v1::Camera { height: 4000, ..good.clone() }),

@@ -1,10 +1,11 @@
 //! `monoslam demo`: a synthetic room, streamed through a server of its own.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use client::{FrameError, FrameSource};
+use client::{FrameError, FrameSource, StreamSummary};
 use proto::v1;
 use recordings::{StampedPose, Trajectory};
 use synthetic::{Preset, Sequence, SequenceConfig};
@@ -24,6 +25,9 @@ pub struct DemoArgs {
     /// Seed of the room and of everything random
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
+    /// Draw map and trajectories, seen from above, into an SVG file
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
 }
 
 /// A sequence whose frames are rendered when they are sent.
@@ -80,6 +84,14 @@ pub async fn run(args: DemoArgs) -> Result<()> {
         evaluation.path,
         evaluation.ate_percent_of_path.unwrap_or_default()
     );
+    if let Some(path) = &args.picture {
+        let title = format!(
+            "A rendered room and the path of the camera through it, seen from above ({})",
+            sizes(&outcome.summary)
+        );
+        server.scene(title, truth, outcome.trajectory).await?.write(path)?;
+        println!("{:<26} {}", "picture", path.display());
+    }
     if args.keep {
         println!("\nThe map is at {} until you press Ctrl-C.", server.http());
         tokio::signal::ctrl_c().await?;
@@ -87,4 +99,9 @@ pub async fn run(args: DemoArgs) -> Result<()> {
         println!("\nWith --keep the map stays, to be looked at in a browser at the HTTP address.");
     }
     server.stop().await
+}
+
+fn sizes(summary: &StreamSummary) -> String {
+    let StreamSummary { points, lines, primitives, .. } = summary;
+    format!("{points} points, {lines} lines, {primitives} primitives")
 }

@@ -8,6 +8,8 @@ use recordings::{
     Alignment, Evaluation, EvaluationOptions, Trajectory, count_data_lines, evaluate, parse_seconds_ns,
 };
 
+use super::picture::Scene;
+
 /// What to compare and how.
 #[derive(Debug, Args)]
 pub struct EvaluateArgs {
@@ -25,6 +27,9 @@ pub struct EvaluateArgs {
     /// truth]
     #[arg(long, value_name = "FILE")]
     frames: Option<PathBuf>,
+    /// Draw both trajectories, seen from above, into an SVG file
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -41,6 +46,10 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     let n_frames = args.frames.as_deref().map(count_data_lines).transpose()?;
     let options = EvaluationOptions { alignment: args.align, max_dt_ns: args.max_dt, n_frames };
     let evaluation = evaluate(&truth, &estimate, &options)?;
+    if let Some(path) = &args.picture {
+        let title = "The true and the estimated path of the camera, seen from above".to_owned();
+        Scene { title, truth: Some(truth), estimate, ..Scene::default() }.write(path)?;
+    }
     if args.json {
         println!("{}", serde_json::to_string(&evaluation)?);
     } else {

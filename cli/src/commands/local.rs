@@ -5,11 +5,13 @@ use std::sync::Arc;
 use anyhow::{Context, Result, ensure};
 use client::{FrameSource, HttpClient, SlamClient, StreamPlan, StreamSummary};
 use geometry::CameraParameters;
+use geometry::nalgebra::Vector3;
 use proto::v1;
 use recordings::{Evaluation, EvaluationOptions, Trajectory, evaluate};
 use server::{Config, Running, Server};
 use tempfile::TempDir;
 
+use super::picture::{MapLine, Scene};
 use super::stream::stream_with_progress;
 
 /// The one session of a server inside.
@@ -69,6 +71,8 @@ pub struct LocalRun<'a> {
 pub struct LocalOutcome {
     /// What became of the frames.
     pub summary: StreamSummary,
+    /// The estimated trajectory.
+    pub trajectory: Trajectory,
     /// The share of the frames that have a pose in the trajectory.
     pub coverage: f64,
     /// How far the trajectory is from the truth; absent without a truth or with too few poses.
@@ -94,6 +98,21 @@ impl LocalServer {
             }
             None => None,
         };
-        Ok(LocalOutcome { summary, coverage: estimate.len() as f64 / source.len().max(1) as f64, evaluation })
+        let coverage = estimate.len() as f64 / source.len().max(1) as f64;
+        Ok(LocalOutcome { summary, trajectory: estimate, coverage, evaluation })
+    }
+
+    /// The map with the trajectories, to be drawn.
+    pub async fn scene(&self, title: String, truth: Trajectory, estimate: Trajectory) -> Result<Scene> {
+        let mut client = SlamClient::connect(&self.grpc()).await?;
+        let vector = |v: v1::Vector3| Vector3::new(v.x, v.y, v.z);
+        let points = client.points(SESSION).await?;
+        let points = points.into_iter().filter_map(|point| point.position.map(vector)).collect();
+        let line = |line: v1::Line| {
+            let ends = [vector(line.start?), vector(line.end?)];
+            Some(MapLine { ends, primitive: line.primitive_id })
+        };
+        let lines = client.lines(SESSION).await?.into_iter().filter_map(line).collect();
+        Ok(Scene { title, truth: Some(truth), estimate, points, lines })
     }
 }

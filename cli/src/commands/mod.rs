@@ -4,6 +4,7 @@ mod bench;
 mod demo;
 mod evaluate;
 mod local;
+mod picture;
 mod progress;
 mod report;
 mod sessions;

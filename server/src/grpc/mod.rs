@@ -1,6 +1,8 @@
 //! The gRPC skin: decode, call the service, encode.
 
 mod convert;
+#[cfg(fuzzing)]
+pub mod fuzzing;
 mod maps;
 mod stream;
 

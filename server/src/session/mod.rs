@@ -12,10 +12,15 @@ mod localize;
 mod queue;
 mod recent;
 mod registry;
+mod slots;
+mod sync;
+mod updates;
 mod view;
 mod worker;
 mod writer;
 
+#[cfg(fuzzing)]
+pub use decoder::decode_image;
 pub use events::{MapChange, SessionEvent};
 pub use frame::{Answer, Before, Encoding, Rejection, Reply, SentFrame, SentImage};
 pub use gallery::ShownFrame;

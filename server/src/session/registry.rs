@@ -5,13 +5,12 @@ use super::gallery::ShownFrame;
 use super::journal::{Revision, Since};
 use super::load::{self, LoadContext, StoredSession};
 use super::queue::{FrameQueue, Policy};
+use super::slots::{self, Resident, Room, Slots};
 use super::view::{Live, LoadedView};
 use super::worker::{Ends, Mode, Persistence, Replies, Stream, Worker, WorkerConfig};
 use super::{SessionId, writer};
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
-use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use store::Store;
 use tokio::runtime::Handle;
@@ -36,21 +35,14 @@ pub struct OpenRequest {
 pub struct Registry {
     config: Arc<Config>,
     store: Store,
-    slots: Mutex<BTreeMap<SessionId, Arc<Slot>>>,
-    closing: AtomicBool,
+    /// What lasts while a session comes and goes is who watches it.
+    slots: Slots<SessionId, Loaded, Events>,
     /// Ends what watches sessions.
     closed: CancellationToken,
 }
 
-/// One session's place.
-#[derive(Default)]
-struct Slot {
-    /// Held while a stream is opened or the session deleted: one at a time.
-    opening: tokio::sync::Mutex<()>,
-    loaded: Mutex<Option<Arc<Loaded>>>,
-    /// Outlives the session's stays in memory, so that its watchers do too.
-    events: Events,
-}
+/// The right to take one session into memory or out of it.
+type Held = slots::Held<Loaded, Events>;
 
 /// A session in memory.
 struct Loaded {
@@ -74,13 +66,8 @@ struct Writer {
 impl Registry {
     /// A registry without sessions.
     pub fn new(config: Arc<Config>, store: Store) -> Self {
-        Self {
-            config,
-            store,
-            slots: Mutex::default(),
-            closing: AtomicBool::new(false),
-            closed: CancellationToken::new(),
-        }
+        let slots = Slots::new(config.limits.max_loaded_sessions);
+        Self { config, store, slots, closed: CancellationToken::new() }
     }
 
     /// Gives a client the session to write into, loading it if it is not in memory. Answers go to `replies`.
@@ -92,8 +79,7 @@ impl Registry {
         request: OpenRequest,
         replies: Replies,
     ) -> Result<Arc<FrameQueue>, ApiError> {
-        let slot = self.slot(&request.id);
-        let _opening = slot.opening.lock().await;
+        let held = self.slots.hold(&request.id).await;
         let capacity = match request.policy {
             Policy::Lossless => self.config.sessions.lossless_queue_frames,
             Policy::Realtime => self.config.sessions.realtime_queue_frames,
@@ -114,13 +100,13 @@ impl Registry {
         };
         loop {
             self.check_open()?;
-            let loaded = self.load(&slot, &request.id).await?;
+            let loaded = self.load(&held, &request.id).await?;
             loaded.make_way(&request).await?;
             match loaded.streams.send(stream).await {
                 Ok(()) => {
                     *lock(&loaded.writer) = Some(writer);
                     // A shutdown that came in between has not seen this writer.
-                    if self.closing.load(Ordering::SeqCst) {
+                    if self.check_open().is_err() {
                         loaded.end();
                     }
                     return Ok(queue);
@@ -128,7 +114,7 @@ impl Registry {
                 // The session was about to leave memory: load it anew.
                 Err(mpsc::error::SendError(unsent)) => {
                     stream = unsent;
-                    loaded.ended.cancelled().await;
+                    loaded.ended().await;
                 }
             }
         }
@@ -136,16 +122,15 @@ impl Registry {
 
     /// How a session is doing, if it is in memory.
     pub fn view(&self, id: &SessionId) -> Option<LoadedView> {
-        let slot = lock(&self.slots).get(id).cloned()?;
-        let loaded = slot.present()?;
-        let view = LoadedView { live: loaded.live.borrow().clone(), has_writer: loaded.writer().is_some() };
+        let loaded = self.slots.resident(id)?;
+        let view = LoadedView { live: loaded.live.borrow().clone(), has_writer: loaded.is_busy() };
         Some(view)
     }
 
     /// Sessions in memory, and how many of them have a writer.
     pub fn n_loaded(&self) -> (usize, usize) {
-        let loaded = self.all_loaded();
-        (loaded.len(), loaded.iter().filter(|session| session.writer().is_some()).count())
+        let loaded = self.slots.residents();
+        (loaded.len(), loaded.iter().filter(|session| session.is_busy()).count())
     }
 
     /// Takes a session out of memory and runs `delete` while nobody can load it.
@@ -157,11 +142,10 @@ impl Registry {
         id: &SessionId,
         delete: impl Future<Output = Result<(), ApiError>>,
     ) -> Result<(), ApiError> {
-        let slot = self.slot(id);
-        let _opening = slot.opening.lock().await;
-        slot.unload(id, "deleting the session").await?;
+        let held = self.slots.hold(id).await;
+        unload(&held, id, "deleting the session").await?;
         delete.await?;
-        lock(&self.slots).remove(id);
+        self.slots.remove(id, held);
         Ok(())
     }
 
@@ -175,11 +159,10 @@ impl Registry {
         id: &SessionId,
         change: impl Future<Output = Result<T, ApiError>>,
     ) -> Result<T, ApiError> {
-        let slot = self.slot(id);
-        let _opening = slot.opening.lock().await;
-        slot.unload(id, "changing its options").await?;
+        let held = self.slots.hold(id).await;
+        unload(&held, id, "changing its options").await?;
         let changed = change.await?;
-        slot.events.settings();
+        held.lasting().settings();
         Ok(changed)
     }
 
@@ -193,20 +176,19 @@ impl Registry {
         metres_per_unit: Option<f64>,
         store: impl Future<Output = Result<T, ApiError>>,
     ) -> Result<T, ApiError> {
-        let slot = self.slot(id);
         // Whoever loads the session meanwhile would read the old scale.
-        let _opening = slot.opening.lock().await;
+        let held = self.slots.hold(id).await;
         let stored = store.await?;
-        if let Some(loaded) = slot.present() {
+        if let Some(loaded) = held.resident() {
             loaded.scale.send_replace(metres_per_unit);
         }
-        slot.events.settings();
+        held.lasting().settings();
         Ok(stored)
     }
 
     /// What happens in a session from now on; ends when the session is deleted.
     pub fn events(&self, id: &SessionId) -> broadcast::Receiver<SessionEvent> {
-        self.slot(id).events.watch()
+        self.slots.lasting(id).watch()
     }
 
     /// What changed in a session's map since a revision. The session must be there: asking makes a place for
@@ -228,22 +210,8 @@ impl Registry {
 
     /// Takes no new streams, ends the present ones, and waits until every session is saved and gone.
     pub async fn shut_down(&self) {
-        self.closing.store(true, Ordering::SeqCst);
         self.closed.cancel();
-        let all = self.all_loaded();
-        all.iter().for_each(|loaded| loaded.end());
-        for loaded in all {
-            loaded.ended.cancelled().await;
-        }
-        // Whoever was opening a stream meanwhile has seen `closing`, or its session ends here.
-        let slots: Vec<_> = lock(&self.slots).values().cloned().collect();
-        for slot in slots {
-            let _opening = slot.opening.lock().await;
-            if let Some(loaded) = slot.present() {
-                loaded.end();
-                loaded.ended.cancelled().await;
-            }
-        }
+        self.slots.shut_down().await;
     }
 
     /// Whether streams are taken.
@@ -251,46 +219,26 @@ impl Registry {
     /// # Errors
     /// If the server is closing.
     pub fn check_open(&self) -> Result<(), ApiError> {
-        if self.closing.load(Ordering::SeqCst) { Err(shutting_down()) } else { Ok(()) }
+        self.slots.check_open().map_err(|slots::Closing| shutting_down())
     }
 
-    fn slot(&self, id: &SessionId) -> Arc<Slot> {
-        lock(&self.slots).entry(id.clone()).or_default().clone()
-    }
-
-    fn all_loaded(&self) -> Vec<Arc<Loaded>> {
-        lock(&self.slots).values().filter_map(|slot| slot.present()).collect()
-    }
-
-    /// The session in memory. The caller holds the slot's `opening`.
-    async fn load(&self, slot: &Slot, id: &SessionId) -> Result<Arc<Loaded>, ApiError> {
-        if let Some(loaded) = slot.present() {
+    /// The session in memory.
+    async fn load(&self, held: &Held, id: &SessionId) -> Result<Arc<Loaded>, ApiError> {
+        if let Some(loaded) = held.resident() {
             return Ok(loaded);
         }
-        self.make_room().await?;
-        let loaded = Arc::new(self.start(id, slot.events.clone()).await?);
-        *lock(&slot.loaded) = Some(loaded.clone());
+        let room = self.slots.make_room().await.map_err(|slots::Full| {
+            let limit = self.config.limits.max_loaded_sessions;
+            let sentence =
+                format!("{limit} sessions are in use, as many as this server takes; try again later");
+            ApiError::new(ErrorCode::TooManyLoadedSessions, sentence)
+        })?;
+        let loaded = Arc::new(self.start(id, held.lasting().clone(), room).await?);
+        held.settle(loaded.clone());
         Ok(loaded)
     }
 
-    /// Sends a session without a writer out of memory if there are too many.
-    async fn make_room(&self) -> Result<(), ApiError> {
-        let limit = self.config.limits.max_loaded_sessions;
-        let all = self.all_loaded();
-        if all.len() < limit {
-            return Ok(());
-        }
-        let Some(idle) = all.iter().find(|loaded| loaded.writer().is_none()) else {
-            let sentence =
-                format!("{limit} sessions are in use, as many as this server takes; try again later");
-            return Err(ApiError::new(ErrorCode::TooManyLoadedSessions, sentence));
-        };
-        idle.unload.cancel();
-        idle.ended.cancelled().await;
-        Ok(())
-    }
-
-    async fn start(&self, id: &SessionId, events: Events) -> Result<Loaded, ApiError> {
+    async fn start(&self, id: &SessionId, events: Events, room: Room) -> Result<Loaded, ApiError> {
         let context = LoadContext { store: &self.store, id };
         let stored = load::read(&context).await?;
         let last_frame = stored.last_frame();
@@ -307,8 +255,8 @@ impl Registry {
             idle_unload: self.config.sessions.idle_unload(),
         };
         let (loaded, ends) = channels(stored.metres_per_unit, events);
-        let ended = loaded.ended.clone().drop_guard();
-        spawn(Beginning { id: id.clone(), config, stored, persistence, saving, ends, ended }).await?;
+        let stay = Stay { _room: room, _ended: loaded.ended.clone().drop_guard() };
+        spawn(Beginning { id: id.clone(), config, stored, persistence, saving, ends, stay }).await?;
         Ok(loaded)
     }
 }
@@ -340,7 +288,13 @@ struct Beginning {
     saving: JoinHandle<()>,
     ends: Ends,
     /// Dropped when the thread ends, however that comes.
-    ended: DropGuard,
+    stay: Stay,
+}
+
+/// A session's stay in memory: its room is free before anybody learns that it has ended.
+struct Stay {
+    _room: Room,
+    _ended: DropGuard,
 }
 
 /// Starts a session's thread; returns once its engine is there.
@@ -349,7 +303,7 @@ async fn spawn(beginning: Beginning) -> Result<(), ApiError> {
     let runtime = Handle::current();
     let thread = std::thread::Builder::new().name(format!("session-{}", beginning.id));
     let run = move || {
-        let Beginning { id, config, stored, persistence, saving, ends, ended: _ended } = beginning;
+        let Beginning { id, config, stored, persistence, saving, ends, stay: _stay } = beginning;
         let pipeline = match load::resume(stored) {
             Ok(pipeline) => pipeline,
             Err(error) => {
@@ -371,26 +325,42 @@ async fn spawn(beginning: Beginning) -> Result<(), ApiError> {
     ready.await.map_err(ApiError::internal)?
 }
 
-impl Slot {
-    /// The session, if it is in memory.
-    fn present(&self) -> Option<Arc<Loaded>> {
-        let mut loaded = lock(&self.loaded);
-        if loaded.as_ref().is_some_and(|loaded| loaded.ended.is_cancelled()) {
-            *loaded = None;
-        }
-        loaded.clone()
+/// Waits until the session is out of memory; `purpose` says what for.
+async fn unload(held: &Held, id: &SessionId, purpose: &str) -> Result<(), ApiError> {
+    let Some(loaded) = held.resident() else { return Ok(()) };
+    if loaded.is_busy() {
+        let sentence = format!("a client streams into session {id}; end its stream before {purpose}");
+        return Err(ApiError::new(ErrorCode::WriterConnected, sentence));
+    }
+    loaded.leave();
+    loaded.ended().await;
+    Ok(())
+}
+
+impl Resident for Loaded {
+    fn is_busy(&self) -> bool {
+        self.writer().is_some()
     }
 
-    /// Waits until the session is out of memory; `purpose` says what for. The caller holds `opening`.
-    async fn unload(&self, id: &SessionId, purpose: &str) -> Result<(), ApiError> {
-        let Some(loaded) = self.present() else { return Ok(()) };
-        if loaded.writer().is_some() {
-            let sentence = format!("a client streams into session {id}; end its stream before {purpose}");
-            return Err(ApiError::new(ErrorCode::WriterConnected, sentence));
+    fn leave(&self) {
+        self.unload.cancel();
+    }
+
+    /// The frames that are queued are served before.
+    fn end(&self) {
+        if let Some(writer) = self.writer() {
+            writer.queue.close(Err(shutting_down()));
+            writer.ending_soon.cancel();
         }
-        loaded.unload.cancel();
-        loaded.ended.cancelled().await;
-        Ok(())
+        self.unload.cancel();
+    }
+
+    fn has_ended(&self) -> bool {
+        self.ended.is_cancelled()
+    }
+
+    async fn ended(&self) {
+        self.ended.cancelled().await;
     }
 }
 
@@ -419,18 +389,9 @@ impl Loaded {
         // Also ends when the session fails meanwhile.
         tokio::select! {
             () = writer.served.cancelled() => {}
-            () = self.ended.cancelled() => {}
+            () = self.ended() => {}
         }
         Ok(())
-    }
-
-    /// Ends the stream, serving the frames that are queued, and then the session.
-    fn end(&self) {
-        if let Some(writer) = self.writer() {
-            writer.queue.close(Err(shutting_down()));
-            writer.ending_soon.cancel();
-        }
-        self.unload.cancel();
     }
 }
 

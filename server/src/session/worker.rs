@@ -184,6 +184,8 @@ impl Worker {
                     biased;
                     stream = streams.recv() => return stream,
                     () = unload.cancelled() => break,
+                    // Nothing can be saved any more: whoever comes next begins with the last commit.
+                    () = self.outbox.ended() => break,
                     // A session that cannot be saved stays: its frames are in no other place.
                     () = tokio::time::sleep(self.config.idle_unload) => if self.outbox.is_idle() { break },
                 }

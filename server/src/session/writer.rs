@@ -7,15 +7,15 @@
 
 use super::frame::SentImage;
 use super::images::to_file;
+use super::updates::{Bounds, Update, Updates};
 use crate::error::ApiError;
 use slam::MapUpdate;
 use slam::map::KeyframeId;
-use std::collections::VecDeque;
 use std::future::Future;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use store::KeyframeImage;
-use tokio::sync::{Notify, watch};
+use tokio::sync::watch;
 
 /// Updates a deterministic session may be ahead of the disk before it waits. Others merge into one.
 const MAX_UPDATES_AHEAD: usize = 16;
@@ -46,30 +46,11 @@ pub struct Saved {
     pub failure: Option<ApiError>,
 }
 
-/// The tracking thread's end of the writer.
-#[derive(Clone, Debug)]
-pub struct Outbox {
-    shared: Arc<Shared>,
-    saved: watch::Receiver<Saved>,
-}
-
+/// The tracking thread's end of the writer. When it is dropped, the writer ends as if it was closed.
 #[derive(Debug)]
-struct Shared {
-    one_by_one: bool,
-    waiting: Mutex<Waiting>,
-    /// Wakes the writer: something to save, or someone waits for it.
-    wake: Notify,
-    /// Wakes a deterministic session that waits for the disk.
-    room: Condvar,
-}
-
-#[derive(Debug, Default)]
-struct Waiting {
-    updates: VecDeque<Batch>,
-    image_bytes: usize,
-    /// Updates handed over since the start.
-    n_updates: u64,
-    closed: bool,
+pub struct Outbox {
+    updates: Arc<Updates<Batch>>,
+    saved: watch::Receiver<Saved>,
 }
 
 /// What is saved in one transaction.
@@ -77,19 +58,24 @@ struct Waiting {
 struct Batch {
     update: MapUpdate,
     images: Vec<(KeyframeId, SentImage)>,
-    /// The number of the last update in it.
-    last_update: u64,
 }
 
-impl Batch {
-    fn merge(&mut self, later: Batch) {
+impl Update for Batch {
+    fn join(&mut self, later: Self) {
         self.update.merge(later.update);
         self.images.extend(later.images);
-        self.last_update = later.last_update;
+    }
+
+    fn ballast_bytes(&self) -> usize {
+        self.images.iter().map(|(_, image)| image.data.len()).sum()
+    }
+
+    fn drop_ballast(&mut self) {
+        self.images.clear();
     }
 }
 
-/// Starts the task that saves. It ends when every [`Outbox`] was closed and everything is saved or was tried
+/// Starts the task that saves. It ends when the [`Outbox`] was closed and everything is saved or was tried
 /// once more.
 pub fn start(
     sink: impl Sink,
@@ -97,43 +83,22 @@ pub fn start(
     one_by_one: bool,
     retry_after: Duration,
 ) -> (Outbox, tokio::task::JoinHandle<()>) {
-    let shared =
-        Arc::new(Shared { one_by_one, waiting: Mutex::default(), wake: Notify::new(), room: Condvar::new() });
+    let bounds =
+        Bounds { one_by_one, max_ahead: MAX_UPDATES_AHEAD, max_ballast_bytes: MAX_WAITING_IMAGE_BYTES };
+    let updates = Arc::new(Updates::new(bounds));
     let (saved, saved_receiver) = watch::channel(Saved { durable_sequence, ..Saved::default() });
-    let task = tokio::spawn(save_all(shared.clone(), sink, saved, retry_after));
-    (Outbox { shared, saved: saved_receiver }, task)
+    let task = tokio::spawn(save_all(EndOnDrop(updates.clone()), sink, saved, retry_after));
+    (Outbox { updates, saved: saved_receiver }, task)
 }
 
 impl Outbox {
     /// Hands an update over. Returns at once, save in a deterministic session that is far ahead of a working
     /// disk.
-    pub fn push(&self, update: MapUpdate, mut images: Vec<(KeyframeId, SentImage)>) {
-        let mut waiting = self.shared.lock();
-        if self.shared.one_by_one {
-            while waiting.updates.len() >= MAX_UPDATES_AHEAD && self.failure().is_none() && !waiting.closed {
-                // The timeout is for a failure that comes up meanwhile, which nobody signals here.
-                let turn = self.shared.room.wait_timeout(waiting, Duration::from_millis(100));
-                waiting = turn.unwrap_or_else(PoisonError::into_inner).0;
-            }
+    pub fn push(&self, update: MapUpdate, images: Vec<(KeyframeId, SentImage)>) {
+        let n_images = images.len();
+        if self.updates.push(Batch { update, images }) {
+            tracing::warn!(n_images, "images of keyframes are left out: saving is too far behind");
         }
-        waiting.n_updates += 1;
-        let n_bytes = n_bytes_of(&images);
-        if waiting.image_bytes + n_bytes > MAX_WAITING_IMAGE_BYTES {
-            tracing::warn!(
-                n_images = images.len(),
-                "images of keyframes are left out: saving is too far behind"
-            );
-            images.clear();
-        } else {
-            waiting.image_bytes += n_bytes;
-        }
-        let batch = Batch { update, images, last_update: waiting.n_updates };
-        match waiting.updates.back_mut() {
-            Some(last) if !self.shared.one_by_one => last.merge(batch),
-            _ => waiting.updates.push_back(batch),
-        }
-        drop(waiting);
-        self.shared.wake.notify_one();
     }
 
     /// Every frame up to this one is saved.
@@ -143,12 +108,13 @@ impl Outbox {
 
     /// Why saving fails at present, if it does.
     pub fn failure(&self) -> Option<ApiError> {
-        self.saved.borrow().failure.clone()
+        let failure = self.saved.borrow().failure.clone();
+        failure.or_else(|| self.saved.has_changed().is_err().then(ended_early))
     }
 
     /// Whether everything handed over is saved.
     pub fn is_idle(&self) -> bool {
-        let n_updates = self.shared.lock().n_updates;
+        let n_updates = self.updates.n_pushed();
         self.saved.borrow().n_updates >= n_updates
     }
 
@@ -157,76 +123,69 @@ impl Outbox {
     /// # Errors
     /// Why it could not be saved. It is kept and tried again.
     pub async fn flush(&self) -> Result<(), ApiError> {
-        let n_updates = self.shared.lock().n_updates;
+        let n_updates = self.updates.n_pushed();
         let mut saved = self.saved.clone();
         let n_attempts = saved.borrow_and_update().n_attempts;
-        self.shared.wake.notify_one();
+        self.updates.hurry();
         let finished = saved.wait_for(|saved| {
             saved.n_updates >= n_updates || (saved.failure.is_some() && saved.n_attempts > n_attempts)
         });
-        let outcome = match finished.await {
+        match finished.await {
             Ok(saved) if saved.n_updates >= n_updates => Ok(()),
-            Ok(saved) => Err(saved.failure.clone()),
-            Err(_ended) => Err(None),
-        };
-        outcome.map_err(|failure| failure.unwrap_or_else(|| ApiError::internal("the writer has ended early")))
+            Ok(saved) => Err(saved.failure.clone().unwrap_or_else(ended_early)),
+            Err(_ended) => Err(ended_early()),
+        }
+    }
+
+    /// Waits until nothing more is saved, whatever is handed over.
+    pub async fn ended(&self) {
+        let mut saved = self.saved.clone();
+        // An error is what is waited for: the writer has dropped its end.
+        let _ = saved.wait_for(|_| false).await;
     }
 
     /// Lets the writer end once it is through with what it has.
     pub fn close(&self) {
-        self.shared.lock().closed = true;
-        self.shared.wake.notify_one();
+        self.updates.close();
     }
 }
 
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, Waiting> {
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn take(&self) -> Option<Batch> {
-        let mut waiting = self.lock();
-        let batch = waiting.updates.pop_front()?;
-        waiting.image_bytes -= n_bytes_of(&batch.images);
-        self.room.notify_all();
-        Some(batch)
-    }
-
-    /// Puts back what could not be saved, joined with what came after it.
-    fn put_back(&self, mut batch: Batch) {
-        let mut waiting = self.lock();
-        waiting.image_bytes += n_bytes_of(&batch.images);
-        if !self.one_by_one
-            && let Some(later) = waiting.updates.pop_front()
-        {
-            batch.merge(later);
-        }
-        waiting.updates.push_front(batch);
+impl Drop for Outbox {
+    fn drop(&mut self) {
+        self.close();
     }
 }
 
-async fn save_all(shared: Arc<Shared>, sink: impl Sink, saved: watch::Sender<Saved>, retry_after: Duration) {
-    loop {
-        let Some(batch) = shared.take() else {
-            if shared.lock().closed {
-                return;
-            }
-            shared.wake.notified().await;
-            continue;
-        };
-        let was_closed = shared.lock().closed;
-        match save(&sink, &batch).await {
+fn ended_early() -> ApiError {
+    ApiError::internal("the writer has ended early")
+}
+
+/// Tells whoever hands updates over when nothing is saved any more, however that comes.
+struct EndOnDrop(Arc<Updates<Batch>>);
+
+impl Drop for EndOnDrop {
+    fn drop(&mut self) {
+        self.0.end();
+    }
+}
+
+async fn save_all(updates: EndOnDrop, sink: impl Sink, saved: watch::Sender<Saved>, retry_after: Duration) {
+    let EndOnDrop(updates) = &updates;
+    while let Some(batch) = updates.next().await {
+        match save(&sink, &batch.update).await {
             Ok(()) => {
-                let last_frame = batch.update.frames.iter().map(|frame| frame.sequence).max();
+                updates.saved();
+                let last_frame = batch.update.update.frames.iter().map(|frame| frame.sequence).max();
                 saved.send_modify(|saved| {
                     saved.durable_sequence = saved.durable_sequence.max(last_frame);
-                    saved.n_updates = batch.last_update;
+                    saved.n_updates = batch.last_number;
                     saved.n_attempts += 1;
                     saved.failure = None;
                 });
             }
             Err(error) => {
-                shared.put_back(batch);
+                let is_last_attempt = batch.is_last_attempt;
+                updates.put_back(batch);
                 if saved.borrow().failure.is_none() {
                     tracing::error!(error = %error, "saving failed and will be tried again: {error}");
                 }
@@ -234,17 +193,13 @@ async fn save_all(shared: Arc<Shared>, sink: impl Sink, saved: watch::Sender<Sav
                     saved.n_attempts += 1;
                     saved.failure = Some(error);
                 });
-                if was_closed {
+                if is_last_attempt {
                     return;
                 }
-                let _ = tokio::time::timeout(retry_after, shared.wake.notified()).await;
+                let _ = tokio::time::timeout(retry_after, updates.woken()).await;
             }
         }
     }
-}
-
-fn n_bytes_of(images: &[(KeyframeId, SentImage)]) -> usize {
-    images.iter().map(|(_, image)| image.data.len()).sum()
 }
 
 async fn save(sink: &impl Sink, batch: &Batch) -> Result<(), ApiError> {
@@ -265,7 +220,9 @@ mod tests {
     use crate::error::ErrorCode;
     use slam::Map;
     use slam::map::{FrameRecord, FrameState, MapChanges};
+    use std::sync::Mutex;
     use std::sync::atomic::{AtomicBool, Ordering};
+    use tokio::sync::Notify;
 
     /// Remembers the sequences of each transaction; fails or waits on demand.
     #[derive(Clone, Default)]
@@ -346,5 +303,39 @@ mod tests {
         assert!(outbox.failure().is_none());
         outbox.close();
         tokio::time::timeout(Duration::from_secs(5), task).await.unwrap().unwrap();
+    }
+
+    /// The disk's driver is broken in a way that nobody expected.
+    struct Broken;
+
+    impl Sink for Broken {
+        async fn commit(&self, _: &MapUpdate, _: &[KeyframeImage]) -> Result<(), ApiError> {
+            panic!("broken for the test")
+        }
+    }
+
+    #[tokio::test]
+    async fn a_deterministic_session_does_not_wait_for_a_writer_that_is_dead() {
+        let (outbox, task) = start(Broken, None, true, RETRY);
+        let push_all = move || {
+            (0..2 * MAX_UPDATES_AHEAD as u64).for_each(|sequence| outbox.push(update(sequence), Vec::new()));
+            outbox
+        };
+        let pushed = tokio::task::spawn_blocking(push_all);
+        let outbox = tokio::time::timeout(Duration::from_secs(5), pushed).await.expect("it waits").unwrap();
+        assert!(task.await.unwrap_err().is_panic());
+        outbox.ended().await;
+        assert_eq!(outbox.failure().unwrap().code, ErrorCode::Internal);
+        assert!(outbox.flush().await.is_err() && !outbox.is_idle());
+    }
+
+    #[tokio::test]
+    async fn a_writer_ends_when_its_outbox_is_dropped() {
+        let sink = FakeSink::default();
+        let (outbox, task) = start(sink.clone(), None, false, RETRY);
+        outbox.push(update(0), Vec::new());
+        drop(outbox);
+        tokio::time::timeout(Duration::from_secs(5), task).await.expect("it goes on").unwrap();
+        assert_eq!(*sink.0.transactions.lock().unwrap(), [[0]]);
     }
 }

@@ -219,9 +219,9 @@ pub struct TrackingConfig {
     /// `plentiful_inliers`; a weak one needs half of it. Default 0.2: true poses reach 0.3 and more, false
     /// ones 0.01.
     pub min_found_share: f64,
-    /// A pose that was followed with fewer than this share of the landmarks of the frame before has to compete
-    /// with poses found by descriptors alone. Default 0.6: in blur and after quick turns a wrong pose has kept
-    /// half, and the right one nearly all.
+    /// A pose that was followed with fewer than this share of the landmarks of the frame before has to
+    /// compete with poses found by descriptors alone. Default 0.6: in blur and after quick turns a wrong pose
+    /// has kept half, and the right one nearly all.
     pub doubtful_kept_share: f64,
     /// How many times as many landmarks the other pose needs. Default 1.15: otherwise both are the same pose.
     pub better_pose_factor: f64,

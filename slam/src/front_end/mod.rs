@@ -47,8 +47,8 @@ impl FrontEnd {
         }
     }
 
-    /// Asks for so many keypoints per image from now on. While there is no map (`is_initializing`), texture too
-    /// weak for one is amplified from then on.
+    /// Asks for so many keypoints per image from now on. While there is no map (`is_initializing`), texture
+    /// too weak for one is amplified from then on.
     pub fn set_n_features(&mut self, n_features: usize, is_initializing: bool) {
         self.extractor.set_n_features(n_features);
         self.weak_texture.set_initializing(is_initializing);

@@ -12,8 +12,8 @@ const N_AGREEING_FRAMES: usize = 3;
 /// amplification.
 const RICH_FACTOR: usize = 4;
 
-/// Decides whether a session's images are amplified. Descriptors of amplified images are matched with those of
-/// others less well, so the decision holds until the scene has clearly changed.
+/// Decides whether a session's images are amplified. Descriptors of amplified images are matched with those
+/// of others less well, so the decision holds until the scene has clearly changed.
 #[derive(Debug)]
 pub(super) struct WeakTexture {
     amplifier: ContrastAmplifier,

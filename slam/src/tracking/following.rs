@@ -54,8 +54,8 @@ impl InLocalMap {
 
 impl Tracker {
     /// Follows a frame into the local map. Where much less is found than in the frame before, the pose may be
-    /// wrong in a way that the landmarks it was found by cannot tell: poses found from keyframes by descriptors
-    /// alone then compete with it, and the one with which the most landmarks agree wins.
+    /// wrong in a way that the landmarks it was found by cannot tell: poses found from keyframes by
+    /// descriptors alone then compete with it, and the one with which the most landmarks agree wins.
     pub(super) fn follow_in_map(&mut self, view: &View, map: &Map) -> Option<InLocalMap> {
         let last = self.last.take()?;
         let counts = self.visibility.clone();

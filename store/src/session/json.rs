@@ -69,7 +69,7 @@ pub(super) fn encode_camera(camera: &CameraParameters) -> Result<String, StoreEr
     })
 }
 
-pub(super) fn decode_camera(text: &str) -> Result<CameraParameters, StoreError> {
+pub(crate) fn decode_camera(text: &str) -> Result<CameraParameters, StoreError> {
     let CameraJson { model, width, height, fx, fy, cx, cy, distortion } = decode("camera", text)?;
     let model = MODELS
         .into_iter()

@@ -10,6 +10,8 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 
 pub use json::SessionOptions;
+#[cfg(fuzzing)]
+pub(crate) use json::decode_camera;
 
 /// A session to be made.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,8 +37,8 @@ pub struct SessionRecord {
     pub correction: PinholeCorrection,
     /// The session's options.
     pub options: SessionOptions,
-    /// Whether small images are worked on enlarged (`SlamConfig::enlarge_below_px`): not in sessions that were
-    /// made before that was done, whose keyframes hold the pixels of images as they were.
+    /// Whether small images are worked on enlarged (`SlamConfig::enlarge_below_px`): not in sessions that
+    /// were made before that was done, whose keyframes hold the pixels of images as they were.
     pub enlarges_small_images: bool,
     /// Wall-clock time of creation, nanoseconds since 1970.
     pub created_at_ns: i64,

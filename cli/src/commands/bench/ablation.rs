@@ -1,9 +1,9 @@
 //! Points, points and lines, and global primitives side by side, as the ablation table of Jiang et al. has
 //! them.
 
-use super::Configuration;
-use super::markdown::Table;
+use super::setup::Configuration;
 use super::statistics::Row;
+use super::table::{Place, Table};
 
 /// One recording in the configurations of an ablation.
 struct Sequence<'a> {
@@ -14,13 +14,14 @@ struct Sequence<'a> {
 
 /// ATE RMSE (median over the runs), its change in per cent, and coverage, by recording; empty unless the rows
 /// are an ablation's.
-pub fn table(rows: &[Row]) -> String {
+pub fn table(place: Place<'_>, rows: &[Row]) -> String {
     let sequences = sequences(rows);
     if sequences.is_empty() {
         return String::new();
     }
     let mut table = Table::new(
-        "Ablation: ATE RMSE, median over the runs",
+        place,
+        "Change by feature",
         &["sequence", "runs", "P", "LP", "GP", "LP against P", "GP against LP", "coverage P / LP / GP"],
     );
     let mut changes: [Vec<f64>; 2] = Default::default();
@@ -118,7 +119,7 @@ mod tests {
             row("hall", "LP", Some(0.2)),
             row("hall", "GP", Some(0.1)),
         ];
-        let text = table(&rows);
+        let text = table(Place::Alone, &rows);
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(
             lines[4],
@@ -130,6 +131,6 @@ mod tests {
 
     #[test]
     fn one_configuration_is_no_ablation() {
-        assert_eq!(table(&[row("room", "default", Some(0.1))]), "");
+        assert_eq!(table(Place::Alone, &[row("room", "default", Some(0.1))]), "");
     }
 }

@@ -12,8 +12,9 @@ use proto::v1;
 use recordings::{Evaluation, Layout, Recording, find_folder};
 use serde::{Deserialize, Serialize};
 
+use super::machine;
 use super::playback::PlaybackArgs;
-use super::{Configuration, Pace, machine};
+use super::setup::{Configuration, Pace};
 use crate::commands::local::{LocalRun, LocalServer};
 
 /// One run.

@@ -1,55 +1,43 @@
-//! Figures as a document.
-
-use std::fmt::Write;
+//! Figures as sections of a document and as tables.
 
 use client::Distribution;
 
 use super::ablation;
 use super::machine::Machine;
 use super::peers::Peer;
+use super::setup::Configuration;
 use super::statistics::{Row, Spread};
-use super::{Configuration, Pace};
+use super::table::{Place, Table};
 
 /// What stands above figures that must not be quoted.
 const UNOPTIMIZED: &str = "**This was not a release build: its times say nothing.**\n\n";
 
-/// The whole document. It has no date: the same figures give the same bytes.
-pub fn document(command: &str, machine: &Machine, pace: Pace, rows: &[Row], peers: &[Peer]) -> String {
-    let pace = match pace {
-        Pace::Fast => "Frames are sent as fast as every one is tracked (lossless).",
-        Pace::Realtime => {
-            "Frames are sent as recorded; the server drops those it has no time for (realtime)."
-        }
-    };
+/// What a command measured, as the section of that name of a document: the command, the machine, and the
+/// tables. It has no date: the same figures give the same bytes.
+pub fn section(name: &str, command: &str, machine: &Machine, rows: &[Row], peers: &[Peer]) -> String {
     format!(
-        "# Results\n\n\
-         Written by\n\n```\n{command}\n```\n\n\
-         on {cores} cores of {cpu}. Each run is a process of its own with a new server: frames go in by gRPC over a \
-         socket, the trajectory of all frames comes out by HTTP, and is compared with the ground truth after \
-         similarity alignment (the figure of `evo_ape tum TRUTH ESTIMATE -as`). {pace}\n\n\
-         Read ATE only beside coverage, the share of all frames with a pose: a short trajectory flatters it. Scale \
-         drift is the local scale of the second half of the trajectory over that of the first. Memory is the peak \
-         of server and client together.\n\n{warning}{tables}",
+        "Written by\n\n```sh\n{command}\n```\n\non {cores} cores of {cpu}.\n\n{warning}{tables}",
         warning = if cfg!(debug_assertions) { UNOPTIMIZED } else { "" },
         cores = machine.cores,
         cpu = machine.cpu,
-        tables = tables(rows, peers),
+        tables = tables(Place::Section(name), rows, peers),
     )
 }
 
 /// The ablation if it is one, accuracy with the peers' figures, time, and time by stage.
-pub fn tables(rows: &[Row], peers: &[Peer]) -> String {
+pub fn tables(place: Place<'_>, rows: &[Row], peers: &[Peer]) -> String {
     let mut text = String::new();
-    text.push_str(&ablation::table(rows));
-    text.push_str(&accuracy(rows, peers));
-    text.push_str(&time(rows));
-    text.push_str(&stages(rows));
+    text.push_str(&ablation::table(place, rows));
+    text.push_str(&accuracy(place, rows, peers));
+    text.push_str(&time(place, rows));
+    text.push_str(&stages(place, rows));
     text
 }
 
 /// Ours first, then the peers' on the same recording.
-fn accuracy(rows: &[Row], peers: &[Peer]) -> String {
+fn accuracy(place: Place<'_>, rows: &[Row], peers: &[Peer]) -> String {
     let mut table = Table::new(
+        place,
         "Accuracy",
         &[
             "sequence",
@@ -114,8 +102,9 @@ fn peer_cells(peer: &Peer) -> [String; 12] {
     ]
 }
 
-fn time(rows: &[Row]) -> String {
+fn time(place: Place<'_>, rows: &[Row]) -> String {
     let mut table = Table::new(
+        place,
         "Time per frame",
         &[
             "sequence",
@@ -139,9 +128,9 @@ fn time(rows: &[Row]) -> String {
     table.finish()
 }
 
-fn stages(rows: &[Row]) -> String {
+fn stages(place: Place<'_>, rows: &[Row]) -> String {
     let head = ["sequence", "system", "stage", "frames", "wall ms, median / p95"];
-    let mut table = Table::new("Time by stage, over the frames in which it ran", &head);
+    let mut table = Table::new(place, "Time by stage", &head);
     for row in rows {
         for stage in &row.stages {
             table.row(&[
@@ -174,36 +163,4 @@ fn number(value: Option<f64>, digits: usize) -> String {
 
 fn distribution(distribution: Option<Distribution>) -> String {
     distribution.map_or("-".to_owned(), |d| format!("{:.2} / {:.2}", d.median, d.p95))
-}
-
-/// A table of a document.
-pub struct Table(String);
-
-impl Table {
-    /// A table without rows under its title.
-    pub fn new(title: &str, columns: &[&str]) -> Self {
-        let mut table = Self(format!("## {title}\n\n"));
-        table.cells(columns.iter());
-        table.cells(columns.iter().enumerate().map(|(i, _)| if i < 2 { "---" } else { "---:" }));
-        table
-    }
-
-    /// Adds a row.
-    pub fn row(&mut self, cells: &[String]) {
-        self.cells(cells.iter());
-    }
-
-    fn cells(&mut self, cells: impl Iterator<Item: std::fmt::Display>) {
-        for cell in cells {
-            // Writing to a string cannot fail.
-            let _ = write!(self.0, "| {cell} ");
-        }
-        self.0.push_str("|\n");
-    }
-
-    /// The table with an empty line after it.
-    pub fn finish(mut self) -> String {
-        self.0.push('\n');
-        self.0
-    }
 }

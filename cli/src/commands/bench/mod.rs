@@ -6,12 +6,15 @@ mod machine;
 mod markdown;
 mod peers;
 mod playback;
+mod section;
+mod setup;
 mod statistics;
+mod table;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use recordings::{Layout, Recording, find_folder};
 use serde_json::json;
 
@@ -20,7 +23,10 @@ pub use child::{RunArgs, run_once};
 use child::RunResult;
 use machine::Machine;
 use playback::PlaybackArgs;
+use section::Section;
+use setup::{Configuration, Pace};
 use statistics::Row;
+use table::Place;
 
 /// What to measure.
 #[derive(Debug, Args)]
@@ -52,58 +58,20 @@ pub struct BenchArgs {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-    /// Write a document with all figures
+    /// Document to put the tables into, between its lines `<!-- begin: bench NAME -->` and `<!-- end: bench
+    /// NAME -->`
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-}
-
-/// How fast frames come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Pace {
-    /// As fast as every one is tracked.
-    Fast,
-    /// As recorded.
-    Realtime,
-}
-
-impl Pace {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Fast => "fast",
-            Self::Realtime => "realtime",
-        }
-    }
-}
-
-/// Which features are on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Configuration {
-    /// The default options of a session.
-    Default,
-    /// Points.
-    P,
-    /// Points and lines.
-    Lp,
-    /// Points, lines and global primitives.
-    Gp,
-}
-
-impl Configuration {
-    const ABLATION: [Self; 3] = [Self::P, Self::Lp, Self::Gp];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Default => "default",
-            Self::P => "P",
-            Self::Lp => "LP",
-            Self::Gp => "GP",
-        }
-    }
+    /// Section of that document [default: ablation with --ablation, else lossless or realtime, as the pace
+    /// is]
+    #[arg(long, value_name = "NAME", requires = "output")]
+    section: Option<String>,
 }
 
 /// Measures.
 pub async fn run(args: BenchArgs) -> Result<()> {
-    // A mistake in the last recording is better known before hours are spent on the others.
+    // A mistake is better known before hours are spent on measuring.
+    let section = args.output.as_deref().map(|path| Section::find(path, section_name(&args))).transpose()?;
     for dataset in &args.datasets {
         let recording =
             Recording::open(&find_folder(dataset)?, args.layout)?.played(&args.playback.playback())?;
@@ -119,9 +87,9 @@ pub async fn run(args: BenchArgs) -> Result<()> {
         }
     }
     let machine = Machine::this();
-    if let Some(path) = &args.output {
-        let document = markdown::document(&command_line(&args), &machine, args.pace, &rows, &peers);
-        std::fs::write(path, document).with_context(|| format!("cannot write {}", path.display()))?;
+    if let Some(section) = section {
+        let command = command_line(&args);
+        section.write(&markdown::section(section.name(), &command, &machine, &rows, &peers))?;
     }
     if args.json {
         println!(
@@ -129,7 +97,7 @@ pub async fn run(args: BenchArgs) -> Result<()> {
             json!({ "machine": machine, "pace": args.pace.name(), "sequences": rows, "peers": peers })
         );
     } else {
-        print!("{}", markdown::tables(&rows, &peers));
+        print!("{}", markdown::tables(Place::Alone, &rows, &peers));
     }
     Ok(())
 }
@@ -162,15 +130,67 @@ async fn measure(args: &BenchArgs, dataset: &Path, configuration: Configuration)
     Row::new(configuration.name(), runs).context("no runs")
 }
 
-/// The command as the user would repeat it: recordings by their names alone, since folders differ.
+/// The section that the figures belong into.
+fn section_name(args: &BenchArgs) -> &str {
+    match (&args.section, args.ablation, args.pace) {
+        (Some(name), ..) => name,
+        (None, true, _) => "ablation",
+        (None, false, Pace::Fast) => "lossless",
+        (None, false, Pace::Realtime) => "realtime",
+    }
+}
+
+/// The command as the user would repeat it: files and recordings by their names alone, since folders differ.
 fn command_line(args: &BenchArgs) -> String {
-    let mut words = vec!["monoslam bench".to_owned()];
-    words.extend(
-        args.datasets.iter().filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned())),
-    );
-    words.push(format!("--runs {} --pace {}", args.runs, args.pace.name()));
+    let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+    let datasets: Vec<String> = args.datasets.iter().filter_map(|path| name(path)).collect();
+    let mut words = vec![format!("--runs {} --pace {}", args.runs, args.pace.name())];
     words.extend(args.ablation.then(|| "--ablation".to_owned()));
     words.extend(args.deterministic.then(|| "--deterministic".to_owned()));
+    words.extend(args.layout.map(|layout| format!("--layout {layout}")));
     words.extend(args.playback.words());
-    words.join(" ")
+    words.extend(args.peers.as_deref().and_then(name).map(|peers| format!("--peers {peers}")));
+    format!("monoslam bench \\\n  {} \\\n  {}", datasets.join(" "), words.join(" "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: BenchArgs,
+    }
+
+    fn parsed(line: &str) -> BenchArgs {
+        Line::parse_from(["bench"].into_iter().chain(line.split(' '))).args
+    }
+
+    #[test]
+    fn the_commands_above_the_tables_of_the_repository_are_written_by_themselves() {
+        let document = include_str!("../../../../docs/results.md");
+        let datasets =
+            "d/7scenes_redkitchen d/euroc_v1_01_part_b d/icl_of_kt0_first101 d/kitti_snippet_2 d/pov_office";
+        for (name, rest) in [
+            ("lossless", "--runs 5 --peers d/peers.csv"),
+            ("realtime", "--runs 3 --pace realtime --peers d/peers.csv"),
+            ("ablation", "--runs 15 --ablation --peers d/peers.csv"),
+        ] {
+            let args = parsed(&format!("{datasets} {rest}"));
+            assert_eq!(section_name(&args), name);
+            let begin = format!(
+                "<!-- begin: bench {name} -->\n\nWritten by\n\n```sh\n{}\n```\n",
+                command_line(&args)
+            );
+            assert!(document.contains(&begin), "{name}:\n{begin}");
+        }
+    }
+
+    #[test]
+    fn a_section_may_be_named() {
+        assert_eq!(section_name(&parsed("d/room -o results.md --section rooms")), "rooms");
+        assert!(Line::try_parse_from(["bench", "room", "--section", "rooms"]).is_err(), "of which document?");
+    }
 }
