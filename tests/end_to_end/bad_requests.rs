@@ -186,7 +186,7 @@ async fn health_and_reflection_answer() {
     assert_eq!(status, tonic_health::pb::health_check_response::ServingStatus::Serving);
     assert_eq!(server.get("/healthz").await, "ok\n");
     assert_eq!(server.get("/readyz").await, "ready\n");
-    assert!(server.get("/").await.contains("No sessions"));
+    assert!(server.get("/").await.contains("<title>monoslam</title>"));
 }
 
 #[tokio::test]

@@ -63,18 +63,19 @@ pub(super) fn located(located: &Located) -> v1::LocalizeResponse {
     }
 }
 
-pub(super) fn session_event(watched: Watched) -> v1::SessionEvent {
+/// What a watcher is told; `None` for what only concerns others.
+pub(super) fn session_event(watched: Watched) -> Option<v1::SessionEvent> {
     let event = match watched {
         // Whoever is told of new settings is sent the session.
-        Watched::Event(SessionEvent::Settings | SessionEvent::Saved(_)) => None,
-        Watched::Session(view) => Some(Event::Session(session(&view))),
-        Watched::Missed(n) => Some(Event::Missed(n)),
-        Watched::Event(SessionEvent::Map(change)) => Some(Event::Map(map_event(&change))),
+        Watched::Event(SessionEvent::Settings | SessionEvent::Saved(_)) => return None,
+        Watched::Session(view) => Event::Session(session(&view)),
+        Watched::Missed(n) => Event::Missed(n),
+        Watched::Event(SessionEvent::Map(change)) => Event::Map(map_event(&change)),
         Watched::Event(SessionEvent::Frame { report, metres_per_unit }) => {
-            Some(Event::Frame(frame_event(&report, metres_per_unit)))
+            Event::Frame(frame_event(&report, metres_per_unit))
         }
     };
-    v1::SessionEvent { event }
+    Some(v1::SessionEvent { event: Some(event) })
 }
 
 fn frame_event(report: &FrameReport, metres_per_unit: Option<f64>) -> v1::FrameEvent {

@@ -169,7 +169,8 @@ impl SlamService for Handler {
     ) -> Result<Response<Self::WatchMapStream>, Status> {
         let id = session_id(&request.get_ref().session_id)?;
         let events = ReceiverStream::new(watch(self.service.clone(), id).await?);
-        let events = events.map(|event| event.map(convert::session_event).map_err(Status::from));
+        let events =
+            events.filter_map(|event| event.map(convert::session_event).map_err(Status::from).transpose());
         Ok(Response::new(Box::pin(events)))
     }
 
