@@ -194,13 +194,12 @@ impl Registry {
     /// What changed in a session's map since a revision. The session must be there: asking makes a place for
     /// it.
     pub fn since(&self, id: &SessionId, known: Option<Revision>) -> Since {
-        self.slot(id).events.journal().since(known)
+        self.slots.lasting(id).journal().since(known)
     }
 
     /// One of the last frames of a session that is watched.
     pub fn shown_frame(&self, id: &SessionId, sequence: u64) -> Option<Arc<ShownFrame>> {
-        let slot = lock(&self.slots).get(id).cloned()?;
-        slot.events.gallery().frame(sequence)
+        self.slots.known(id)?.gallery().frame(sequence)
     }
 
     /// Ends when the server shuts down.

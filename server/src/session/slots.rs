@@ -101,6 +101,11 @@ impl<K: Ord + Clone, R: Resident, T: Clone + Default> Slots<K, R, T> {
         self.slot(key).lasting.clone()
     }
 
+    /// What stays of the session, if it was ever held or asked for.
+    pub fn known(&self, key: &K) -> Option<T> {
+        lock(&self.places).slots.get(key).map(|slot| slot.lasting.clone())
+    }
+
     /// Removes a session that is deleted; what stayed of it goes as well.
     pub fn remove(&self, key: &K, held: Held<R, T>) {
         let mut places = lock(&self.places);
