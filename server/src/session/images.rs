@@ -60,7 +60,7 @@ pub fn to_file(keyframe: KeyframeId, image: &SentImage) -> Option<KeyframeImage>
     Some(KeyframeImage { keyframe, media_type, bytes })
 }
 
-/// An image as a file: PNG and JPEG as they were sent, pixels as PNG; `None` as for [`to_file`].
+/// An image as a file: PNG and JPEG as they were sent, pixels as PNG; `None` as for `to_file`.
 pub fn as_file(image: &SentImage) -> Option<StoredImage> {
     let file = |media_type: &str, bytes| Some(StoredImage { media_type: media_type.to_owned(), bytes });
     let format = match image.encoding {
