@@ -20,8 +20,8 @@ const PARALLAX_RANK: usize = 50;
 /// Rays closer to parallel than this tell nothing of the sign of the depth, as a cosine.
 const PARALLEL_COSINE: f64 = 0.999_98;
 
-/// A match of something at infinity is within this of where the rotation puts it, squared standard
-/// deviations: the angle of [`PARALLEL_COSINE`] at usual focal lengths, and the noise of both views.
+/// A match without a depth agrees if it is within this of where the rotation alone puts it, squared standard
+/// deviations: four of them, for the noise of both views and the little parallax it may have.
 const FAR_CHI2: f64 = 16.0;
 
 /// A motion with the points it gives.
