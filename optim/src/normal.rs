@@ -2,7 +2,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::arithmetic::multiply_add;
+use crate::arithmetic::Arithmetic;
 use crate::layout::{NO_SLOT, TRANSPOSED, VariableSlot};
 
 /// Gradient `g = Σ w Jᵀ r` and the blocks of `H = Σ w Jᵀ J`, each column-major, in one flat buffer:
@@ -29,7 +29,7 @@ impl NormalEquations {
 
     /// Adds `(w J)ᵀ J` and `(w J)ᵀ r` at a variable's place.
     #[inline(always)]
-    pub(crate) fn add_diagonal<const R: usize, const N: usize>(
+    pub(crate) fn add_diagonal<M: Arithmetic, const R: usize, const N: usize>(
         &mut self,
         slot: VariableSlot,
         weighted: &SMatrix<f64, R, N>,
@@ -42,15 +42,15 @@ impl NormalEquations {
         let gradient = &mut self.gradient[slot.gradient as usize..][..N];
         for (column, sum) in gradient.iter_mut().enumerate() {
             for row in 0..R {
-                *sum = multiply_add(weighted[(row, column)], residual[row], *sum);
+                *sum = M::multiply_add(weighted[(row, column)], residual[row], *sum);
             }
         }
-        add_product(&mut self.blocks, slot.diagonal, weighted, jacobian);
+        add_product::<M, _, _, _>(&mut self.blocks, slot.diagonal, weighted, jacobian);
     }
 
     /// Adds the product of two members' derivatives at their common block.
     #[inline(always)]
-    pub(crate) fn add_pair<const R: usize, const NA: usize, const NB: usize>(
+    pub(crate) fn add_pair<M: Arithmetic, const R: usize, const NA: usize, const NB: usize>(
         &mut self,
         pair: u32,
         a: &SMatrix<f64, R, NA>,
@@ -60,16 +60,16 @@ impl NormalEquations {
             return;
         }
         if pair & TRANSPOSED == 0 {
-            add_product(&mut self.blocks, pair, a, b);
+            add_product::<M, _, _, _>(&mut self.blocks, pair, a, b);
         } else {
-            add_product(&mut self.blocks, pair & !TRANSPOSED, b, a);
+            add_product::<M, _, _, _>(&mut self.blocks, pair & !TRANSPOSED, b, a);
         }
     }
 }
 
 /// `block += aᵀ b`, column-major.
 #[inline(always)]
-fn add_product<const R: usize, const NA: usize, const NB: usize>(
+fn add_product<M: Arithmetic, const R: usize, const NA: usize, const NB: usize>(
     blocks: &mut [f64],
     offset: u32,
     a: &SMatrix<f64, R, NA>,
@@ -81,7 +81,7 @@ fn add_product<const R: usize, const NA: usize, const NB: usize>(
         for k in 0..R {
             let scale = b[(k, index)];
             for row in 0..NA {
-                sum[row] = multiply_add(a[(k, row)], scale, sum[row]);
+                sum[row] = M::multiply_add(a[(k, row)], scale, sum[row]);
             }
         }
         *column = sum;

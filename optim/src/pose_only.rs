@@ -16,7 +16,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::arithmetic::multiply_add;
+use crate::arithmetic::{Arithmetic, vectorized};
 use crate::cost::{Cost, INVALID_CHI2};
 use crate::factor::{Factor, Residual};
 use crate::kernel::Kernel;
@@ -87,7 +87,7 @@ impl<const N: usize> SmallSystem<N> {
 
     /// Adds `w Jᵀ r` and `w Jᵀ J`.
     #[inline(always)]
-    fn add_factor<const R: usize>(
+    fn add_factor<M: Arithmetic, const R: usize>(
         &mut self,
         residual: &SVector<f64, R>,
         jacobian: &SMatrix<f64, R, N>,
@@ -97,12 +97,12 @@ impl<const N: usize> SmallSystem<N> {
         for column in 0..N {
             for row in 0..R {
                 self.gradient[column] =
-                    multiply_add(weighted[(row, column)], residual[row], self.gradient[column]);
+                    M::multiply_add(weighted[(row, column)], residual[row], self.gradient[column]);
             }
             for other in column..N {
                 for row in 0..R {
                     let entry = &mut self.hessian[(other, column)];
-                    *entry = multiply_add(weighted[(row, other)], jacobian[(row, column)], *entry);
+                    *entry = M::multiply_add(weighted[(row, other)], jacobian[(row, column)], *entry);
                 }
             }
         }
@@ -143,6 +143,21 @@ where
     T: Manifold<Tangent = SVector<f64, N>>,
 {
     fn accumulate(&self, value: &T, robust: bool, system: &mut SmallSystem<N>) {
+        let sum = vectorized!(M => self.sum::<M, T, R, N>(value, robust));
+        system.hessian += sum.hessian;
+        system.gradient += sum.gradient;
+        system.cost.add(sum.cost);
+    }
+}
+
+impl<F: Factor> UnaryGroup<F> {
+    /// See [`Accumulate::accumulate`].
+    #[inline(always)]
+    fn sum<M: Arithmetic, T, const R: usize, const N: usize>(&self, value: &T, robust: bool) -> SmallSystem<N>
+    where
+        F: Factor<Residual = SVector<f64, R>, Variables = (T,)>,
+        T: Manifold<Tangent = SVector<f64, N>>,
+    {
         let kernel = if robust { self.kernel } else { Kernel::None };
         let mut sum = SmallSystem::<N>::zero();
         let mut n_valid = 0;
@@ -152,7 +167,7 @@ where
                 continue;
             };
             let chi2 = residual.squared_norm();
-            sum.add_factor(&residual, &jacobian, kernel.weight(chi2));
+            sum.add_factor::<M, R>(&residual, &jacobian, kernel.weight(chi2));
             sum.cost.chi2 += chi2;
             sum.cost.robust += 0.5 * kernel.loss(chi2);
             n_valid += 1;
@@ -160,9 +175,7 @@ where
         sum.cost.n_residuals = n_valid * R;
         // At a constant cost, so that no step gains by pushing observations out of their domain.
         sum.cost.robust += 0.5 * sum.cost.n_invalid as f64 * kernel.loss(INVALID_CHI2);
-        system.hessian += sum.hessian;
-        system.gradient += sum.gradient;
-        system.cost.add(sum.cost);
+        sum
     }
 }
 

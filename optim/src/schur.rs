@@ -31,7 +31,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::arithmetic::multiply_add;
+use crate::arithmetic::{Arithmetic, vectorized};
 use crate::layout::{Landmark, Member, ReducedVariable};
 
 /// A landmark's pivot, relative to its own diagonal entry, below which the landmark is held in this
@@ -94,11 +94,11 @@ pub trait Eliminate {
 #[expect(private_interfaces, reason = "sealed: only this crate can call these functions")]
 impl<const N: usize> Eliminate for SVector<f64, N> {
     fn eliminate(schur: &mut Schur<'_>, landmarks: LandmarkSpan<'_>) {
-        schur.eliminate::<N>(landmarks);
+        vectorized!(M => schur.eliminate::<M, N>(landmarks));
     }
 
     fn back_substitute(schur: &mut Schur<'_>, landmarks: LandmarkSpan<'_>) {
-        schur.back_substitute::<N>(landmarks);
+        vectorized!(M => schur.back_substitute::<M, N>(landmarks));
     }
 }
 
@@ -116,7 +116,8 @@ impl Schur<'_> {
     }
 
     /// Subtracts what landmarks of dimension `N` contribute to the reduced system.
-    pub(crate) fn eliminate<const N: usize>(&mut self, span: LandmarkSpan<'_>) {
+    #[inline(always)]
+    fn eliminate<M: Arithmetic, const N: usize>(&mut self, span: LandmarkSpan<'_>) {
         for (index, landmark) in span.landmarks.iter().enumerate() {
             // A landmark that its observations do not fix (no parallax) is held where it is: as if it were
             // known.
@@ -136,31 +137,32 @@ impl Schur<'_> {
                 let e = &self.blocks[member.cross as usize..][..size];
                 let rhs = &mut self.step[variable.gradient..][..variable.dim];
                 if variable.dim == 6 {
-                    scale_columns::<6, N>(f, e, &lower, &y, rhs);
+                    scale_columns::<M, 6, N>(f, e, &lower, &y, rhs);
                 } else {
                     scale_columns_any::<N>(f, e, variable.dim, &lower, &y, rhs);
                 }
                 filled += size;
             }
             // S −= F Fᵀ
-            self.subtract_products::<N>(members, &self.pairs[landmark.pairs..]);
+            self.subtract_products::<M, N>(members, &self.pairs[landmark.pairs..]);
         }
     }
 
     /// `S −= F Fᵀ` over all pairs of a landmark's members, whose `F` stand one behind the other in the
     /// scratch memory.
-    fn subtract_products<const N: usize>(&mut self, members: &[Member], pairs: &[u32]) {
+    #[inline(always)]
+    fn subtract_products<M: Arithmetic, const N: usize>(&mut self, members: &[Member], pairs: &[u32]) {
         let mut pairs = pairs.iter();
         let mut a_at = 0;
         for (position, a) in members.iter().enumerate() {
             let a = self.reduced[a.reduced as usize];
             let fa = &self.scratch[a_at..][..a.dim * N];
-            subtract::<N>(&mut self.system[a.diagonal..], fa, fa, a.dim, a.dim);
+            subtract::<M, N>(&mut self.system[a.diagonal..], fa, fa, a.dim, a.dim);
             let mut b_at = a_at + a.dim * N;
             for (b, &pair) in members[position + 1..].iter().zip(pairs.by_ref()) {
                 let dim = self.reduced[b.reduced as usize].dim;
                 let fb = &self.scratch[b_at..][..dim * N];
-                subtract::<N>(&mut self.system[pair as usize..], fb, fa, dim, a.dim);
+                subtract::<M, N>(&mut self.system[pair as usize..], fb, fa, dim, a.dim);
                 b_at += dim * N;
             }
             a_at += a.dim * N;
@@ -169,7 +171,8 @@ impl Schur<'_> {
 
     /// Completes the step for landmarks of dimension `N`, `δ = −C⁻¹ (g + Eᵀ x)`, from that of the reduced
     /// variables. Held ones get a step of zero.
-    pub(crate) fn back_substitute<const N: usize>(&mut self, span: LandmarkSpan<'_>) {
+    #[inline(always)]
+    fn back_substitute<M: Arithmetic, const N: usize>(&mut self, span: LandmarkSpan<'_>) {
         for (index, landmark) in span.landmarks.iter().enumerate() {
             let factor = if self.held[span.first + index] { None } else { self.factor::<N>(landmark) };
             let mut sum = SVector::<f64, N>::zeros();
@@ -181,7 +184,7 @@ impl Schur<'_> {
                     let x = &self.step[variable.gradient..][..variable.dim];
                     let e = &self.blocks[member.cross as usize..][..variable.dim * N];
                     if variable.dim == 6 {
-                        subtract_transposed::<6, N>(&mut sum, e, x);
+                        subtract_transposed::<M, 6, N>(&mut sum, e, x);
                     } else {
                         for (column, entry) in e.chunks_exact(variable.dim).zip(sum.iter_mut()) {
                             *entry -= column.iter().zip(x).map(|(e, x)| e * x).sum::<f64>();
@@ -227,7 +230,7 @@ impl Schur<'_> {
 }
 
 /// `L x = b`, with `L` holding the inverses of its diagonal.
-#[inline]
+#[inline(always)]
 fn solve_lower<const N: usize>(lower: &SMatrix<f64, N, N>, b: &SVector<f64, N>) -> SVector<f64, N> {
     let mut x = *b;
     for i in 0..N {
@@ -240,7 +243,7 @@ fn solve_lower<const N: usize>(lower: &SMatrix<f64, N, N>, b: &SVector<f64, N>) 
 }
 
 /// `Lᵀ x = b`, with `L` holding the inverses of its diagonal.
-#[inline]
+#[inline(always)]
 fn solve_lower_transposed<const N: usize>(
     lower: &SMatrix<f64, N, N>,
     b: &SVector<f64, N>,
@@ -256,8 +259,8 @@ fn solve_lower_transposed<const N: usize>(
 }
 
 /// `F = E L⁻ᵀ` and `rhs += F y` for a block of `D` rows.
-#[inline]
-fn scale_columns<const D: usize, const N: usize>(
+#[inline(always)]
+fn scale_columns<M: Arithmetic, const D: usize, const N: usize>(
     f: &mut [f64],
     e: &[f64],
     lower: &SMatrix<f64, N, N>,
@@ -271,10 +274,10 @@ fn scale_columns<const D: usize, const N: usize>(
         for i in 0..D {
             let mut entry = e[(i, k)];
             for j in 0..k {
-                entry = multiply_add(-scaled[(i, j)], lower[(k, j)], entry);
+                entry = M::multiply_add(-scaled[(i, j)], lower[(k, j)], entry);
             }
             scaled[(i, k)] = entry * lower[(k, k)];
-            sum[i] = multiply_add(scaled[(i, k)], y[k], sum[i]);
+            sum[i] = M::multiply_add(scaled[(i, k)], y[k], sum[i]);
         }
     }
     f.copy_from_slice(scaled.as_slice());
@@ -282,6 +285,7 @@ fn scale_columns<const D: usize, const N: usize>(
 }
 
 /// [`scale_columns`] for any number of rows.
+#[inline(always)]
 fn scale_columns_any<const N: usize>(
     f: &mut [f64],
     e: &[f64],
@@ -304,12 +308,16 @@ fn scale_columns_any<const N: usize>(
 
 /// `sum −= Eᵀ x` for a block of `D` rows.
 #[inline(always)]
-fn subtract_transposed<const D: usize, const N: usize>(sum: &mut SVector<f64, N>, e: &[f64], x: &[f64]) {
+fn subtract_transposed<M: Arithmetic, const D: usize, const N: usize>(
+    sum: &mut SVector<f64, N>,
+    e: &[f64],
+    x: &[f64],
+) {
     let (e, x) = (&e[..D * N], &x[..D]);
     for k in 0..N {
         let mut product = 0.0;
         for i in 0..D {
-            product = multiply_add(e[k * D + i], x[i], product);
+            product = M::multiply_add(e[k * D + i], x[i], product);
         }
         sum[k] -= product;
     }
@@ -317,9 +325,15 @@ fn subtract_transposed<const D: usize, const N: usize>(sum: &mut SVector<f64, N>
 
 /// `block −= fb faᵀ`, the block being `rows x columns`; fast for poses.
 #[inline(always)]
-fn subtract<const N: usize>(block: &mut [f64], fb: &[f64], fa: &[f64], rows: usize, columns: usize) {
+fn subtract<M: Arithmetic, const N: usize>(
+    block: &mut [f64],
+    fb: &[f64],
+    fa: &[f64],
+    rows: usize,
+    columns: usize,
+) {
     if rows == 6 && columns == 6 {
-        subtract_fixed::<6, 6, N>(block, fb, fa);
+        subtract_fixed::<M, 6, 6, N>(block, fb, fa);
     } else {
         for column in 0..columns {
             for k in 0..N {
@@ -334,7 +348,11 @@ fn subtract<const N: usize>(block: &mut [f64], fb: &[f64], fa: &[f64], rows: usi
 
 /// [`subtract`] for blocks of fixed size: one column at a time stays in registers.
 #[inline(always)]
-fn subtract_fixed<const R: usize, const C: usize, const N: usize>(block: &mut [f64], fb: &[f64], fa: &[f64]) {
+fn subtract_fixed<M: Arithmetic, const R: usize, const C: usize, const N: usize>(
+    block: &mut [f64],
+    fb: &[f64],
+    fa: &[f64],
+) {
     let fb: [[f64; R]; N] = std::array::from_fn(|k| std::array::from_fn(|row| fb[..R * N][k * R + row]));
     let fa = &fa[..C * N];
     let (columns, _) = block[..R * C].as_chunks_mut::<R>();
@@ -343,7 +361,7 @@ fn subtract_fixed<const R: usize, const C: usize, const N: usize>(block: &mut [f
         for k in 0..N {
             let scale = -fa[k * C + index];
             for row in 0..R {
-                sum[row] = multiply_add(fb[k][row], scale, sum[row]);
+                sum[row] = M::multiply_add(fb[k][row], scale, sum[row]);
             }
         }
         *column = sum;

@@ -6,6 +6,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
+use crate::arithmetic::Arithmetic;
 use crate::layout::{FactorPairs, VariableSlot};
 use crate::manifold::Manifold;
 use crate::normal::NormalEquations;
@@ -54,7 +55,7 @@ pub trait Wiring<R>: Variables<R> {
     /// Looks the types up, once for all factors of a group.
     fn slots(stores: &Stores) -> Slots<'_>;
     /// Adds `w Jᵀ r` and `w Jᵀ J` of one factor.
-    fn accumulate(
+    fn accumulate<M: Arithmetic>(
         linearized: &(R, Self::Jacobians),
         weight: f64,
         ids: Self::Ids,
@@ -136,7 +137,7 @@ macro_rules! impl_variables {
             }
 
             #[inline(always)]
-            fn accumulate(
+            fn accumulate<M: Arithmetic>(
                 (residual, jacobians): &(SVector<f64, R>, Self::Jacobians),
                 weight: f64,
                 ids: Self::Ids,
@@ -145,8 +146,8 @@ macro_rules! impl_variables {
                 normal: &mut NormalEquations,
             ) {
                 let weighted = ($(jacobians.$index * weight,)+);
-                $(normal.add_diagonal(slots[$index][ids.$index.index()], &weighted.$index, &jacobians.$index, residual);)+
-                $(normal.add_pair(pairs[$pair], &weighted.$a, &jacobians.$b);)*
+                $(normal.add_diagonal::<M, _, _>(slots[$index][ids.$index.index()], &weighted.$index, &jacobians.$index, residual);)+
+                $(normal.add_pair::<M, _, _, _>(pairs[$pair], &weighted.$a, &jacobians.$b);)*
                 let _ = pairs;
             }
         }

@@ -1,7 +1,8 @@
-//! What must hold of the repository itself: citations of the method and links between documents resolve, and
-//! comments are as narrow as code, and modules import one way.
+//! What must hold of the repository itself: citations of the method and links between documents resolve,
+//! commands of documents name what exists, comments are as narrow as code, and modules import one way.
 
 mod citations;
+mod commands;
 mod comments;
 mod files;
 mod floors;

@@ -73,6 +73,7 @@ pub mod lines;
 pub mod matching;
 pub mod orb;
 pub mod place;
+mod processor;
 mod pyramid;
 pub mod scale;
 #[cfg(test)]
@@ -82,4 +83,5 @@ pub mod vanishing;
 pub use crate::grid::{GridBounds, KeypointGrid};
 pub use crate::image::{GrayImage, ImageError, ImageStatistics};
 pub use crate::orb::{Descriptor, Features, Keypoint, OrbConfig, OrbConfigError, OrbExtractor};
+pub use crate::processor::vectorized;
 pub use crate::pyramid::Pyramid;

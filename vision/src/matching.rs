@@ -1,7 +1,7 @@
 //! Descriptor matching: in a list, in a window (guided matching), or all against all (brute force), by
 //! Hamming distance and the ratio test [Lowe 2004].
 
-use crate::{Descriptor, Features, KeypointGrid};
+use crate::{Descriptor, Features, KeypointGrid, vectorized};
 
 /// Descriptors further apart than this are not the same point (strict), bits of 256.
 pub const STRICT_DISTANCE: u32 = 50;
@@ -42,6 +42,14 @@ impl BestTwo {
 /// The two of `candidates` (indices into `descriptors`) nearest to `query`; the first listed wins a tie.
 /// `None` if the list is empty. Panics if a candidate is out of range.
 pub fn best_two(query: &Descriptor, descriptors: &[Descriptor], candidates: &[u32]) -> Option<BestTwo> {
+    vectorized(
+        #[inline(always)]
+        || scan(query, descriptors, candidates),
+    )
+}
+
+#[inline(always)]
+fn scan(query: &Descriptor, descriptors: &[Descriptor], candidates: &[u32]) -> Option<BestTwo> {
     let mut best = BestTwo { best_idx: u32::MAX, best: u32::MAX, second_idx: None, second: u32::MAX };
     for &idx in candidates {
         let distance = query.distance(&descriptors[idx as usize]);
@@ -55,6 +63,31 @@ pub fn best_two(query: &Descriptor, descriptors: &[Descriptor], candidates: &[u3
         }
     }
     (best.best_idx != u32::MAX).then_some(best)
+}
+
+/// Distance and index of the nearest of `candidates`, the first if there are several, and the distance of the
+/// next; `u32::MAX` and `usize::MAX` for what is not there.
+#[inline]
+pub fn nearest_two<'a>(
+    query: &Descriptor,
+    candidates: impl Iterator<Item = (usize, &'a Descriptor)>,
+) -> ((u32, usize), u32) {
+    vectorized(
+        #[inline(always)]
+        || {
+            let (mut best, mut second) = ((u32::MAX, usize::MAX), u32::MAX);
+            for (idx, candidate) in candidates {
+                let distance = query.distance(candidate);
+                if distance < best.0 {
+                    second = best.0;
+                    best = (distance, idx);
+                } else if distance < second {
+                    second = distance;
+                }
+            }
+            (best, second)
+        },
+    )
 }
 
 /// What makes two keypoints a match.

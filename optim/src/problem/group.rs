@@ -4,6 +4,7 @@ use std::any::Any;
 use std::fmt;
 use std::marker::PhantomData;
 
+use crate::arithmetic::{Arithmetic, vectorized};
 use crate::cost::{Cost, INVALID_CHI2};
 use crate::factor::{Factor, Residual, VariableIds};
 use crate::kernel::Kernel;
@@ -61,6 +62,54 @@ impl<F: Factor> TypedGroup<F> {
         let values = F::Variables::values(views, self.ids[index]);
         self.factors[index].residual(values).map(|residual| residual.squared_norm())
     }
+
+    /// See [`Group::cost`].
+    #[inline(always)]
+    fn sum_cost(&self, stores: &Stores, side: Side) -> Cost {
+        if self.factors.is_empty() {
+            return Cost::default();
+        }
+        let views = F::Variables::views(stores, side);
+        let mut cost = Cost::default();
+        let mut n_valid = 0;
+        for ((factor, &ids), &enabled) in self.factors.iter().zip(&self.ids).zip(&self.enabled) {
+            if !enabled {
+                continue;
+            }
+            match factor.residual(F::Variables::values(views, ids)) {
+                Some(residual) => {
+                    let chi2 = residual.squared_norm();
+                    cost.chi2 += chi2;
+                    cost.robust += 0.5 * self.kernel.loss(chi2);
+                    n_valid += 1;
+                }
+                None => cost.n_invalid += 1,
+            }
+        }
+        cost.n_residuals = n_valid * F::Residual::DIM;
+        cost.robust += 0.5 * cost.n_invalid as f64 * self.kernel.loss(INVALID_CHI2);
+        cost
+    }
+
+    /// See [`Group::linearize`].
+    #[inline(always)]
+    fn add_to<M: Arithmetic>(&self, stores: &Stores, normal: &mut NormalEquations) {
+        if self.factors.is_empty() {
+            return;
+        }
+        let views = F::Variables::views(stores, Side::Current);
+        let slots = F::Variables::slots(stores);
+        let members = self.ids.iter().zip(&self.pairs).zip(&self.enabled);
+        for (factor, ((&ids, pairs), &enabled)) in self.factors.iter().zip(members) {
+            if !enabled {
+                continue;
+            }
+            if let Some(linearized) = factor.linearize(F::Variables::values(views, ids)) {
+                let weight = self.kernel.weight(linearized.0.squared_norm());
+                F::Variables::accumulate::<M>(&linearized, weight, ids, slots, pairs, normal);
+            }
+        }
+    }
 }
 
 /// What the solver does with a group without knowing its type.
@@ -90,47 +139,11 @@ impl<F: Factor> Group for TypedGroup<F> {
     }
 
     fn cost(&self, stores: &Stores, side: Side) -> Cost {
-        if self.factors.is_empty() {
-            return Cost::default();
-        }
-        let views = F::Variables::views(stores, side);
-        let mut cost = Cost::default();
-        let mut n_valid = 0;
-        for ((factor, &ids), &enabled) in self.factors.iter().zip(&self.ids).zip(&self.enabled) {
-            if !enabled {
-                continue;
-            }
-            match factor.residual(F::Variables::values(views, ids)) {
-                Some(residual) => {
-                    let chi2 = residual.squared_norm();
-                    cost.chi2 += chi2;
-                    cost.robust += 0.5 * self.kernel.loss(chi2);
-                    n_valid += 1;
-                }
-                None => cost.n_invalid += 1,
-            }
-        }
-        cost.n_residuals = n_valid * F::Residual::DIM;
-        cost.robust += 0.5 * cost.n_invalid as f64 * self.kernel.loss(INVALID_CHI2);
-        cost
+        vectorized!(_M => self.sum_cost(stores, side))
     }
 
     fn linearize(&self, stores: &Stores, normal: &mut NormalEquations) {
-        if self.factors.is_empty() {
-            return;
-        }
-        let views = F::Variables::views(stores, Side::Current);
-        let slots = F::Variables::slots(stores);
-        let members = self.ids.iter().zip(&self.pairs).zip(&self.enabled);
-        for (factor, ((&ids, pairs), &enabled)) in self.factors.iter().zip(members) {
-            if !enabled {
-                continue;
-            }
-            if let Some(linearized) = factor.linearize(F::Variables::values(views, ids)) {
-                let weight = self.kernel.weight(linearized.0.squared_norm());
-                F::Variables::accumulate(&linearized, weight, ids, slots, pairs, normal);
-            }
-        }
+        vectorized!(M => self.add_to::<M>(stores, normal));
     }
 
     fn as_any(&self) -> &dyn Any {

@@ -1,7 +1,7 @@
 //! Matching two views before anything is known of the motion between them.
 
 use crate::features::FrameFeatures;
-use vision::matching::{RotationConsistency, STRICT_DISTANCE};
+use vision::matching::{RotationConsistency, STRICT_DISTANCE, nearest_two};
 
 /// Best match's distance as a share of the second best's. [method: Two-view initialization]
 const RATIO: f32 = 0.9;
@@ -17,20 +17,12 @@ pub(super) fn match_views(
     let mut chosen: Vec<Option<usize>> = vec![None; first.len()];
     let levels = Levels::of(second);
     for (first_idx, pixel) in first.undistorted.iter().enumerate() {
-        let (mut best, mut runner_up) = ((u32::MAX, usize::MAX), u32::MAX);
         let (x, y, radius) = (pixel.x as f32, pixel.y as f32, radius_px as f32);
-        for entry in levels.entries(first.keypoints[first_idx].octave) {
-            if (entry.x - x).abs() > radius || (entry.y - y).abs() > radius {
-                continue;
-            }
-            let distance = first.descriptors[first_idx].distance(&second.descriptors[entry.idx as usize]);
-            if distance < best.0 {
-                runner_up = best.0;
-                best = (distance, entry.idx as usize);
-            } else if distance < runner_up {
-                runner_up = distance;
-            }
-        }
+        let is_near = |entry: &&LevelEntry| (entry.x - x).abs() <= radius && (entry.y - y).abs() <= radius;
+        let described = |entry: &LevelEntry| (entry.idx as usize, &second.descriptors[entry.idx as usize]);
+        let entries = levels.entries(first.keypoints[first_idx].octave);
+        let (best, runner_up) =
+            nearest_two(&first.descriptors[first_idx], entries.iter().filter(is_near).map(described));
         if best.0 <= STRICT_DISTANCE && best.0 as f32 <= RATIO * runner_up as f32 {
             chosen[first_idx] = Some(best.1);
             if claims[best.1].is_none_or(|(distance, _)| best.0 < distance) {

@@ -8,7 +8,7 @@ use crate::map::{Keyframe, KeyframeId, Map, Observation, PointId, median_depth};
 use geometry::nalgebra::{Matrix3, Vector3};
 use geometry::{Pose, so3, triangulation};
 use optim::chi2_95;
-use vision::matching::{RotationConsistency, STRICT_DISTANCE};
+use vision::matching::{RotationConsistency, STRICT_DISTANCE, nearest_two};
 
 /// The ratio of a point's distances may differ from that of the levels it was found at by this times one
 /// level.
@@ -142,20 +142,13 @@ impl<'a> PairSearch<'a> {
         let line = self.fundamental * Vector3::new(pixel.x, pixel.y, 1.0);
         let line = line / line.xy().norm();
         let (a, b, c) = (line.x as f32, line.y as f32, line.z as f32);
-        let (mut best, mut second) = ((u32::MAX, usize::MAX), u32::MAX);
-        for free in &self.free {
+        let is_near = |free: &&FreeKeypoint| {
             let from_line = a * free.x + b * free.y + c;
-            if from_line * from_line > free.max_squared_distance {
-                continue;
-            }
-            let distance = descriptor.distance(&self.neighbor.features.descriptors[free.idx as usize]);
-            if distance < best.0 {
-                second = best.0;
-                best = (distance, free.idx as usize);
-            } else if distance < second {
-                second = distance;
-            }
-        }
+            from_line * from_line <= free.max_squared_distance
+        };
+        let described =
+            |free: &FreeKeypoint| (free.idx as usize, &self.neighbor.features.descriptors[free.idx as usize]);
+        let (best, second) = nearest_two(descriptor, self.free.iter().filter(is_near).map(described));
         if best.0 > STRICT_DISTANCE {
             return None;
         }

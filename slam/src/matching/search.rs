@@ -6,7 +6,7 @@ use geometry::Pose;
 use geometry::nalgebra::Vector2;
 use std::ops::RangeInclusive;
 use vision::Descriptor;
-use vision::matching::{LOOSE_DISTANCE, RotationConsistency, STRICT_DISTANCE};
+use vision::matching::{LOOSE_DISTANCE, RotationConsistency, STRICT_DISTANCE, nearest_two};
 
 /// Views this close to the mean one, as a cosine, move little between their prediction and the truth.
 const FRONTAL_COSINE: f64 = 0.998;
@@ -184,16 +184,7 @@ pub(crate) fn match_keyframe(keyframe: &Keyframe, features: &FrameFeatures) -> V
     let mut claims: Vec<Option<(u32, PointId, f32)>> = vec![None; features.len()];
     for (keypoint_idx, point_id) in keyframe.observed_points() {
         let descriptor = &keyframe.features.descriptors[keypoint_idx];
-        let (mut best, mut second) = ((u32::MAX, usize::MAX), u32::MAX);
-        for (idx, other) in features.descriptors.iter().enumerate() {
-            let distance = descriptor.distance(other);
-            if distance < best.0 {
-                second = best.0;
-                best = (distance, idx);
-            } else if distance < second {
-                second = distance;
-            }
-        }
+        let (best, second) = nearest_two(descriptor, features.descriptors.iter().enumerate());
         if best.0 > STRICT_DISTANCE || best.0 as f32 > UNGUIDED_RATIO * second as f32 {
             continue;
         }

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector2;
 
-use crate::GrayImage;
+use crate::{GrayImage, vectorized};
 
 /// Positions are kept in parts of `2^-FRACTION_BITS` pixel on the way along a path.
 const FRACTION_BITS: u32 = 16;
@@ -96,11 +96,19 @@ pub(super) fn halve(image: &GrayImage, out: &mut GrayImage) {
     out.reshape(width, height);
     for y in 0..height {
         let (upper, lower) = (image.row(2 * y), image.row(2 * y + 1));
-        let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
-        for (out, (a, b)) in out.row_mut(y).iter_mut().zip(pairs) {
-            let sum = u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]);
-            *out = ((sum + 2) >> 2) as u8;
-        }
+        vectorized(
+            #[inline(always)]
+            || halve_rows(upper, lower, out.row_mut(y)),
+        );
+    }
+}
+
+#[inline(always)]
+fn halve_rows(upper: &[u8], lower: &[u8], out: &mut [u8]) {
+    let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
+    for (out, (a, b)) in out.iter_mut().zip(pairs) {
+        let sum = u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]);
+        *out = ((sum + 2) >> 2) as u8;
     }
 }
 

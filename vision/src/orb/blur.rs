@@ -1,6 +1,6 @@
 //! The blur under the descriptors' tests: Gaussian, 7x7, sigma 2 pixels.
 
-use crate::GrayImage;
+use crate::{GrayImage, vectorized};
 
 const RADIUS: usize = 3;
 /// exp(-d^2 / 8) for distances 0 to 3, scaled so that all seven weights sum to 256: sums of bytes fit into 16
@@ -26,17 +26,25 @@ impl Blur {
         for y in 0..height {
             let rows =
                 std::array::from_fn(|i| image.row((y + i).saturating_sub(RADIUS).min(height - 1) as u32));
-            blend(rows, &mut self.padded[RADIUS..RADIUS + width]);
+            let down = &mut self.padded[RADIUS..RADIUS + width];
+            vectorized(
+                #[inline(always)]
+                || blend(rows, down),
+            );
             let (first, last) = (self.padded[RADIUS], self.padded[RADIUS + width - 1]);
             self.padded[..RADIUS].fill(first);
             self.padded[RADIUS + width..].fill(last);
             let shifted = std::array::from_fn(|i| &self.padded[i..i + width]);
-            blend(shifted, out.row_mut(y as u32));
+            vectorized(
+                #[inline(always)]
+                || blend(shifted, out.row_mut(y as u32)),
+            );
         }
     }
 }
 
 /// The weighted sum of seven rows, all as long as `out`.
+#[inline(always)]
 fn blend(rows: [&[u8]; 2 * RADIUS + 1], out: &mut [u8]) {
     let n = out.len();
     let [a, b, c, d, e, f, g] = rows.map(|row| &row[..n]);

@@ -205,67 +205,103 @@ fn neighbors(at: usize, width: usize) -> ([usize; 4], [usize; 4]) {
 fn score_lanes<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16], threshold: u8) -> Option<L> {
     let center = L::load(&pixels[at..]);
     let threshold = L::splat(threshold);
-    let on_circle = |k: usize| L::load(&pixels[at.wrapping_add_signed(circle[k % 16])..]);
     // Of two opposite pixels every arc of 9 holds at least one. So no arc is brighter throughout than the
     // dimmest of the brighter ones of such pairs; four pairs dismiss most pixels.
-    let bounds = |a: usize, b: usize| {
-        let (p, q, r, s) = (on_circle(a), on_circle(a + 8), on_circle(b), on_circle(b + 8));
-        (p.max(q).min(r.max(s)), p.min(q).max(r.min(s)))
-    };
-    let exceeds = |brightest: L, darkest: L| {
-        brightest.saturating_sub(center).max(center.saturating_sub(darkest)).saturating_sub(threshold)
-    };
-    let (brightest, darkest) = bounds(0, 4);
-    if !exceeds(brightest, darkest).any_non_zero() {
+    let upright = bounds::<L>(pixels, at, circle, 0, 4);
+    if !largest_contrast(center, upright).saturating_sub(threshold).any_non_zero() {
         return None;
     }
-    let (brightest_diagonal, darkest_diagonal) = bounds(2, 6);
-    if !exceeds(brightest.min(brightest_diagonal), darkest.max(darkest_diagonal)).any_non_zero() {
+    let diagonal = bounds::<L>(pixels, at, circle, 2, 6);
+    let both = (upright.0.min(diagonal.0), upright.1.max(diagonal.1));
+    if !largest_contrast(center, both).saturating_sub(threshold).any_non_zero() {
         return None;
     }
-    let (brightest, darkest) = arc_extremes(on_circle);
-    Some(brightest.saturating_sub(center).max(center.saturating_sub(darkest)))
+    Some(largest_contrast(center, arc_extremes::<L>(pixels, at, circle)))
+}
+
+// Functions, not closures, and loops, not `array::from_fn`, as only what is surely inlined into a caller with
+// AVX2 is compiled with it.
+
+/// Pixel `k` of the circle around each pixel.
+#[inline(always)]
+fn on_circle<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16], k: usize) -> L {
+    L::load(&pixels[at.wrapping_add_signed(circle[k % 16])..])
+}
+
+/// How far the brightest is above `center` or the darkest below it, whichever is more.
+#[inline(always)]
+fn largest_contrast<L: Lanes>(center: L, (brightest, darkest): (L, L)) -> L {
+    brightest.saturating_sub(center).max(center.saturating_sub(darkest))
+}
+
+/// No arc is brighter throughout than the first, none darker than the second; from the pixels `a` and `b` of
+/// the circle and those opposite.
+#[inline(always)]
+fn bounds<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16], a: usize, b: usize) -> (L, L) {
+    let (p, q) = (on_circle::<L>(pixels, at, circle, a), on_circle::<L>(pixels, at, circle, a + 8));
+    let (r, s) = (on_circle::<L>(pixels, at, circle, b), on_circle::<L>(pixels, at, circle, b + 8));
+    (p.max(q).min(r.max(s)), p.min(q).max(r.min(s)))
 }
 
 /// The largest of the 16 arcs' smallest pixels, and the smallest of their largest.
 #[inline(always)]
-fn arc_extremes<L: Lanes>(on_circle: impl Fn(usize) -> L) -> (L, L) {
-    let circle: [L; 16] = std::array::from_fn(&on_circle);
+fn arc_extremes<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16]) -> (L, L) {
+    let mut values = [L::splat(0); 16];
+    for (k, value) in values.iter_mut().enumerate() {
+        *value = on_circle(pixels, at, circle, k);
+    }
     // Extremes of 2, 4 and 8 neighboring pixels, from every odd position on. The arcs of 9 from an even
     // position `k` and from `k + 1` share the 8 pixels from `k + 1` on and differ in one: two arcs for one.
-    let two: [(L, L); 8] = std::array::from_fn(|i| {
-        let (a, b) = (circle[2 * i + 1], circle[(2 * i + 2) % 16]);
-        (a.min(b), a.max(b))
-    });
-    let join = |parts: &[(L, L); 8], step: usize| -> [(L, L); 8] {
-        std::array::from_fn(|i| {
-            let (a, b) = (parts[i], parts[(i + step) % 8]);
-            (a.0.min(b.0), a.1.max(b.1))
-        })
-    };
+    let mut two = [(values[0], values[0]); 8];
+    for (i, pair) in two.iter_mut().enumerate() {
+        let (a, b) = (values[2 * i + 1], values[(2 * i + 2) % 16]);
+        *pair = (a.min(b), a.max(b));
+    }
     let eight = join(&join(&two, 1), 2);
-    let pair_of_arcs = |i: usize| {
-        let (a, b) = (circle[2 * i], circle[(2 * i + 9) % 16]);
-        (eight[i].0.min(a.max(b)), eight[i].1.max(a.min(b)))
-    };
-    let mut extremes = pair_of_arcs(0);
+    let mut extremes = pair_of_arcs(&values, &eight, 0);
     for i in 1..8 {
-        let arcs = pair_of_arcs(i);
+        let arcs = pair_of_arcs(&values, &eight, i);
         extremes = (extremes.0.max(arcs.0), extremes.1.min(arcs.1));
     }
     extremes
 }
 
+/// Extremes of twice as many pixels: of each part and the one `step` parts on.
+#[inline(always)]
+fn join<L: Lanes>(parts: &[(L, L); 8], step: usize) -> [(L, L); 8] {
+    let mut joined = *parts;
+    for (i, extremes) in joined.iter_mut().enumerate() {
+        let next = parts[(i + step) % 8];
+        *extremes = (extremes.0.min(next.0), extremes.1.max(next.1));
+    }
+    joined
+}
+
+/// The brighter of the two arcs' smallest pixels and the darker of their largest, of the arcs from pixel `2
+/// i` and from the one after it.
+#[inline(always)]
+fn pair_of_arcs<L: Lanes>(values: &[L; 16], eight: &[(L, L); 8], i: usize) -> (L, L) {
+    let (a, b) = (values[2 * i], values[(2 * i + 9) % 16]);
+    (eight[i].0.min(a.max(b)), eight[i].1.max(a.min(b)))
+}
+
 /// Bit `i` tells whether pixel `at + i` is above `threshold` and a local maximum.
 #[inline(always)]
 fn peak_mask<L: Lanes>(scores: &[u8], at: usize, width: usize, threshold: u8) -> u32 {
-    let load = |at: usize| L::load(&scores[at..]);
-    let score = load(at);
+    let score = L::load(&scores[at..]);
     let (before, after) = neighbors(at, width);
-    let largest = |at: [usize; 4]| load(at[0]).max(load(at[1])).max(load(at[2]).max(load(at[3])));
     // `score > max(before, threshold)` and `score >= after`, that is `score > after - 1` for scores above 0.
-    let floor = largest(before).max(L::splat(threshold)).max(largest(after).saturating_sub(L::splat(1)));
+    let floor = largest::<L>(scores, before)
+        .max(L::splat(threshold))
+        .max(largest::<L>(scores, after).saturating_sub(L::splat(1)));
     score.saturating_sub(floor).non_zero_mask()
+}
+
+/// The largest of the scores at four places.
+#[inline(always)]
+fn largest<L: Lanes>(scores: &[u8], at: [usize; 4]) -> L {
+    let first = L::load(&scores[at[0]..]).max(L::load(&scores[at[1]..]));
+    first.max(L::load(&scores[at[2]..]).max(L::load(&scores[at[3]..])))
 }
 
 /// The score of one pixel, straight from the definition.

@@ -4,7 +4,7 @@
 use std::f32::consts::TAU;
 
 use super::PATCH_RADIUS_PX;
-use crate::GrayImage;
+use crate::{GrayImage, vectorized};
 
 const RADIUS: usize = PATCH_RADIUS_PX as usize;
 /// Pixels read of each row: one more than the patch has, to fill vectors.
@@ -35,7 +35,10 @@ const fn disc_weights() -> [([i16; ROW], [i16; ROW]); RADIUS + 1] {
 /// Direction from (x, y), at least 16 pixels from the image's edges, to the centroid of the disc of radius 15
 /// around it, radians in [0, 2 pi).
 pub(super) fn angle(image: &GrayImage, x: u32, y: u32) -> f32 {
-    let (m10, m01) = moments(image, x, y);
+    let (m10, m01) = vectorized(
+        #[inline(always)]
+        || moments(image, x, y),
+    );
     let angle = (m01 as f32).atan2(m10 as f32);
     // A tiny negative angle plus 2 pi rounds to 2 pi, which stands for 0.
     let turned = if angle < 0.0 { angle + TAU } else { angle };
@@ -43,6 +46,7 @@ pub(super) fn angle(image: &GrayImage, x: u32, y: u32) -> f32 {
 }
 
 /// Sums of `dx * I` and `dy * I` over the disc.
+#[inline(always)]
 fn moments(image: &GrayImage, x: u32, y: u32) -> (i32, i32) {
     let (x, y, width) = (x as usize, y as usize, image.width() as usize);
     let row = |y: usize| -> &[u8; ROW] {

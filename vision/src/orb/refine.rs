@@ -1,7 +1,7 @@
 //! Sub-pixel refinement, where a corner is to a fraction of a pixel: the point at which the edges around it
 //! meet [Förstner & Gülch, "A fast operator for detection and precise location of distinct points", 1987].
 
-use crate::GrayImage;
+use crate::{GrayImage, vectorized};
 
 /// Gradients within this distance take part, pixels of the level. Beyond it lie the edges of other corners.
 const RADIUS: i32 = 4;
@@ -36,6 +36,14 @@ impl Refiner {
     /// Every gradient `g` at offset `o` says that the corner lies on the edge through `o`: `g·(shift − o) =
     /// 0`. The weighted least squares solution is `(Σ w g gᵀ)⁻¹ Σ w g gᵀ o`.
     pub fn shift(&self, image: &GrayImage, x: u32, y: u32) -> Option<(f32, f32)> {
+        vectorized(
+            #[inline(always)]
+            || self.solve(image, x, y),
+        )
+    }
+
+    #[inline(always)]
+    fn solve(&self, image: &GrayImage, x: u32, y: u32) -> Option<(f32, f32)> {
         let (width, pixels) = (image.width() as usize, image.as_raw());
         let top_left = (y as usize - RADIUS as usize) * width + x as usize - RADIUS as usize;
         let (mut xx, mut xy, mut yy, mut bx, mut by) = (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
