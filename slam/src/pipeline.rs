@@ -91,6 +91,7 @@ impl Pipeline {
     fn extract(&mut self, frame: Frame, stopwatch: &mut Stopwatch) -> (View, LineTrackingStatistics) {
         let image = Arc::new(self.front_end.working_image(frame.image));
         let rotation = self.tracker.expected_rotation(frame.timestamp_ns);
+        self.front_end.set_camera_state(self.camera_state());
         let (features, statistics) = self.front_end.extract(&image, rotation, stopwatch);
         self.tracker.set_image(image);
         let (sequence, timestamp_ns) = (frame.sequence, frame.timestamp_ns);
