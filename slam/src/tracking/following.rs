@@ -19,6 +19,9 @@ const MAX_EXTRAPOLATION: f64 = 15.0;
 /// Frames after a relocalization in which the local map is searched more widely, and how much.
 const WIDE_SEARCH_FRAMES: u64 = 10;
 const WIDE_SEARCH_FACTOR: f64 = 2.5;
+/// A frame that is recognized this many times as far off as the motion so far leads to was taken after a cut:
+/// people and cars speed up two- or threefold from one image to the next, cuts are dozens of steps wide.
+const CUT_SPEED_FACTOR: f64 = 8.0;
 
 /// The frame before, as the motion model needs it.
 pub(super) struct LastFrame {
@@ -38,6 +41,17 @@ struct Followed {
     n_inliers: usize,
 }
 
+/// What the pose of a frame is found from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum PoseStart {
+    /// From the frame before.
+    Followed,
+    /// From what a keyframe shows, by descriptors alone.
+    Recognized,
+    /// From a place that was looked for in the whole map.
+    Relocalized,
+}
+
 /// A frame placed by the local map.
 pub(super) struct InLocalMap {
     pub frame: TrackedFrame,
@@ -46,6 +60,8 @@ pub(super) struct InLocalMap {
     pub n_expected: usize,
     /// What should be visible under the pose it was looked for with.
     pub visible: VisibleLandmarks,
+    /// Where the search began.
+    pub start: PoseStart,
 }
 
 impl InLocalMap {
@@ -60,7 +76,8 @@ impl Tracker {
     /// descriptors alone then compete with it, and the one with which the most landmarks agree wins.
     pub(super) fn follow_in_map(&mut self, view: &View, map: &Map) -> Option<InLocalMap> {
         let last = self.last.take()?;
-        let followed = self.follow(&last, view, map).map(|frame| self.track_local_map(frame, map));
+        let followed =
+            self.follow(&last, view, map).map(|frame| self.track_local_map(frame, PoseStart::Followed, map));
         let n_required = self.config.tracking.doubtful_kept_share * last.frame.n_landmarks() as f64;
         let found = match followed {
             Some(found) if found.n_inliers() as f64 >= n_required => Some(found),
@@ -91,7 +108,7 @@ impl Tracker {
             else {
                 continue;
             };
-            let found = self.track_local_map(frame, map);
+            let found = self.track_local_map(frame, PoseStart::Recognized, map);
             let n_best = best.as_ref().map_or(0, InLocalMap::n_inliers);
             if found.n_inliers() as f64 > self.config.tracking.better_pose_factor * n_best as f64 {
                 best = Some(found);
@@ -181,7 +198,12 @@ impl Tracker {
 
     /// Finds more of what is near and places the frame by all of it. Counts nothing: the pose may yet be
     /// refused.
-    pub(super) fn track_local_map(&mut self, mut frame: TrackedFrame, map: &Map) -> InLocalMap {
+    pub(super) fn track_local_map(
+        &mut self,
+        mut frame: TrackedFrame,
+        start: PoseStart,
+        map: &Map,
+    ) -> InLocalMap {
         let config = &self.config.tracking;
         if let Some(reference) = self.local_map.collect(map, &frame, config) {
             frame.reference = reference;
@@ -195,7 +217,7 @@ impl Tracker {
         let placement = place_frame(&mut frame, map, &self.config.primitives);
         // Of crowded places the extractor picks only so many keypoints.
         let n_expected = visible.points.len().min(frame.features.len());
-        InLocalMap { frame, placement, n_expected, visible }
+        InLocalMap { frame, placement, n_expected, visible, start }
     }
 
     /// Counts what a frame whose pose is accepted should have seen and did.
@@ -209,6 +231,15 @@ impl Tracker {
 }
 
 impl LastFrame {
+    /// Whether the recording seems to be cut after this frame: the way to the next, and the time it took, is no
+    /// motion that could go on.
+    pub fn is_cut_before(&self, (motion, interval_ns): &(Pose, i64)) -> bool {
+        let speed = |motion: &Pose, interval_ns: i64| motion.translation.norm() / interval_ns.abs() as f64;
+        self.motion.as_ref().is_some_and(|(before, before_ns)| {
+            speed(motion, *interval_ns) > CUT_SPEED_FACTOR * speed(before, *before_ns)
+        })
+    }
+
     /// The pose the motion so far leads to, for equal velocity over a frame interval that may differ from the
     /// last.
     pub fn predict(&self, timestamp_ns: i64) -> Pose {
