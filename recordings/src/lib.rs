@@ -3,7 +3,8 @@
 //! * [`Recording`]: a folder of images with their times, calibration and ground truth, in the [`Layout`]s in
 //!   use; [`find_folder`] also looks where `MONOSLAM_DATA` says that recordings are kept.
 //! * [`Trajectory`]: stamped camera poses, read from and written to the usual text files.
-//! * [`evaluate`]: absolute and relative errors after alignment, the figures of `evo_ape` and `evo_rpe`.
+//! * [`evaluate`]: absolute and relative errors after alignment, the figures of `evo_ape` and `evo_rpe`;
+//!   [`pose_errors`]: those of each pose.
 //!
 //! ```
 //! use recordings::{EvaluationOptions, Trajectory, evaluate};
@@ -25,7 +26,10 @@ mod trajectory;
 
 pub use data::{DATA_VARIABLE, find_folder};
 pub use dataset::{FrameFile, Layout, Playback, Recording};
-pub use evaluation::{Alignment, Evaluation, EvaluationError, EvaluationOptions, Match, associate, evaluate};
+pub use evaluation::{
+    Alignment, Evaluation, EvaluationError, EvaluationOptions, Match, PoseError, associate, evaluate,
+    pose_errors,
+};
 pub use files::{FileError, count_data_lines};
 pub use time::{format_seconds, parse_seconds_ns};
 pub use trajectory::{StampedPose, Trajectory};

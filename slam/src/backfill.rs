@@ -246,6 +246,16 @@ impl Way {
             Some(_) => self.tracker.sync_map(map),
             None => self.tracker.start(self.reached.now(map)?, map),
         }
+        // What bundle adjustment says of a keyframe is better than any pose found from one frame.
+        if let Some(keyframe) = map.keyframes().find(|keyframe| keyframe.sequence == view.sequence)
+            && keyframe.submap == self.reached.frame.submap
+        {
+            let frame = TrackedFrame::of_keyframe(keyframe);
+            self.reached = Anchor::of(&frame, map)?;
+            self.tracker.pass(frame, map);
+            self.n_failures = 0;
+            return None;
+        }
         let tracked = self.tracker.track(&view, map);
         let placed = tracked.frame.filter(|_| matches!(tracked.outcome, TrackingOutcome::Tracked));
         let Some(anchor) = placed.and_then(|frame| Anchor::of(&frame, map)) else {

@@ -10,7 +10,7 @@ use crate::frame_result::FrameResult;
 use crate::front_end::FrontEnd;
 use crate::initialization::{InitialPair, Initializer};
 use crate::input::{Frame, FrameError};
-use crate::map::{FramePose, KeyframeId, Map};
+use crate::map::{FramePose, FrameRecord, KeyframeId, Map};
 use crate::mapping::stage::MappingStage;
 use crate::mapping::{InitialMap, NewKeyframe};
 use crate::report::{FrameReport, InitializationWait, LostReason, TrackingOutcome};
@@ -78,7 +78,7 @@ impl Pipeline {
             stopwatch.lap("initialise");
         }
         self.record(&view, &result);
-        result.is_keyframe |= self.extend(&result);
+        result.is_keyframe |= self.extend(&view, &result);
         stopwatch.lap("extend");
         self.step_backfill(&view, &result);
         stopwatch.lap("backfill");
@@ -91,6 +91,7 @@ impl Pipeline {
     fn extract(&mut self, frame: Frame, stopwatch: &mut Stopwatch) -> (View, LineTrackingStatistics) {
         let image = Arc::new(self.front_end.working_image(frame.image));
         let rotation = self.tracker.expected_rotation(frame.timestamp_ns);
+        self.front_end.set_camera_state(self.camera_state());
         let (features, statistics) = self.front_end.extract(&image, rotation, stopwatch);
         self.tracker.set_image(image);
         let (sequence, timestamp_ns) = (frame.sequence, frame.timestamp_ns);
@@ -238,7 +239,7 @@ impl Pipeline {
     }
 
     /// Makes the frame a keyframe if it is worth it. Returns whether it did.
-    fn extend(&mut self, result: &FrameResult) -> bool {
+    fn extend(&mut self, view: &View, result: &FrameResult) -> bool {
         let Some(frame) = result.frame.as_ref().filter(|_| self.mapping_enabled && !result.is_keyframe)
         else {
             return false;
@@ -253,6 +254,9 @@ impl Pipeline {
         }
         let Some(place) = frame.pose_in(&self.map) else { return false };
         let id = self.next_keyframe_id();
+        // The frame moves with its keyframe from now on.
+        let pose = FramePose { submap: place.submap, reference: id, camera_from_reference: Pose::identity() };
+        self.trajectory.replace(FrameRecord { pose: Some(pose), ..result.record(view, &self.map) });
         let new = NewKeyframe {
             place,
             keyframe: frame.to_keyframe(id, Some(frame.reference)),

@@ -32,6 +32,11 @@ impl TrajectoryLog {
         self.take()
     }
 
+    /// Notes a better pose for a frame that was noted before.
+    pub fn replace(&mut self, record: FrameRecord) {
+        self.unrecorded.push(record);
+    }
+
     /// Notes frames that were placed after the fact.
     pub fn backfill(&mut self, placed: impl IntoIterator<Item = FrameRecord>) {
         self.unrecorded.extend(placed);

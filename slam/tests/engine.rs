@@ -76,6 +76,21 @@ fn the_same_frames_and_seed_give_the_same_trajectory() {
 }
 
 #[test]
+fn frames_that_are_keyframes_have_the_poses_of_their_keyframes() {
+    let sequence = Sequence::preset(Preset::RoomRich, 2);
+    let mut session = new_session(&sequence, Threading::Inline);
+    (0..100).for_each(|index| _ = show(&mut session, index as u64, image(&sequence, index)));
+    let map = session.finish();
+    assert!(map.n_keyframes() >= 5, "{} keyframes are too few to tell", map.n_keyframes());
+    for keyframe in map.keyframes() {
+        let record = session.records[&keyframe.sequence];
+        let (_, camera_from_world) = record.pose.and_then(|pose| map.locate(&pose)).expect("it has a pose");
+        let off = (camera_from_world * keyframe.camera_from_world.inverse()).log().norm();
+        assert!(off < 1e-12, "frame {} is off its keyframe by {off}", keyframe.sequence);
+    }
+}
+
+#[test]
 fn a_resumed_session_finds_its_place_and_goes_on_in_the_same_frame_of_reference() {
     let sequence = Sequence::preset(Preset::RoomRich, 3);
     let mut session = new_session(&sequence, Threading::Background);

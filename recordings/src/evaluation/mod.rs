@@ -6,8 +6,10 @@
 
 mod alignment;
 mod association;
+mod pose_errors;
 mod report;
 
 pub use alignment::Alignment;
 pub use association::{Match, associate};
+pub use pose_errors::{PoseError, pose_errors};
 pub use report::{Evaluation, EvaluationError, EvaluationOptions, evaluate};

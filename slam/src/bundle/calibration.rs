@@ -29,8 +29,9 @@ pub(crate) struct Estimate {
 pub(crate) struct IntrinsicsDoubt {
     /// How it seems to differ from the calibration.
     correction: PinholeCorrection,
-    /// It seems to differ by more than a calibration can be wrong by.
-    is_contradiction: bool,
+    /// How it would differ if nothing were known of it, where that is by more than a calibration can be wrong
+    /// by.
+    contradiction: Option<PinholeCorrection>,
 }
 
 /// What the images say of the camera.
@@ -71,20 +72,36 @@ pub(crate) fn refine_intrinsics(
     let estimate = estimate(map, submap, config, aborted)?;
     let Estimate { correction, gain, conflict, unheld, .. } = &estimate;
     tracing::debug!(%submap, ?correction, gain, conflict, ?unheld, "camera that explains the submap best");
-    let agrees = |before: IntrinsicsDoubt| {
-        let (before, now) = (vector_of(&before.correction), vector_of(correction));
-        (now - before).norm() <= config.max_disagreement * now.norm()
+    let doubt = IntrinsicsDoubt {
+        correction: *correction,
+        contradiction: (*conflict > chi2_95(3)).then_some(*unheld),
     };
-    let doubt = IntrinsicsDoubt { correction: *correction, is_contradiction: *conflict > chi2_95(3) };
     Some(if *gain < config.min_gain {
         IntrinsicsFinding::Confirmed
-    } else if doubt.is_contradiction && before.is_some_and(|before| before.is_contradiction) {
+    } else if before.is_some_and(|before| doubt.is_contradicted_as(&before, config)) {
         IntrinsicsFinding::Contradicted(*unheld)
-    } else if !doubt.is_contradiction && (*gain >= config.certain_gain || before.is_some_and(agrees)) {
+    } else if doubt.contradiction.is_none()
+        && (*gain >= config.certain_gain
+            || before.is_some_and(|before| agree(&before.correction, correction, config)))
+    {
         IntrinsicsFinding::Refined(estimate)
     } else {
         IntrinsicsFinding::Doubtful(doubt)
     })
+}
+
+impl IntrinsicsDoubt {
+    /// Whether both looks contradict the calibration, and in the same way.
+    fn is_contradicted_as(&self, before: &Self, config: &CalibrationConfig) -> bool {
+        let both = before.contradiction.zip(self.contradiction);
+        both.is_some_and(|(before, now)| agree(&before, &now, config))
+    }
+}
+
+/// Whether two looks found the same.
+fn agree(before: &PinholeCorrection, now: &PinholeCorrection, config: &CalibrationConfig) -> bool {
+    let (before, now) = (vector_of(before), vector_of(now));
+    (now - before).norm() <= config.max_disagreement * now.norm()
 }
 
 /// Finds the camera that explains the points of a submap best.
@@ -177,5 +194,26 @@ impl Estimate {
         for (id, position) in &self.points {
             map.set_position(*id, *position);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A look that wants another focal length, by so much.
+    fn doubt(focal: f64) -> IntrinsicsDoubt {
+        let correction = PinholeCorrection { focal, ..PinholeCorrection::default() };
+        IntrinsicsDoubt { correction, contradiction: Some(correction) }
+    }
+
+    #[test]
+    fn two_contradictions_that_disagree_are_none() {
+        let config = CalibrationConfig::default();
+        assert!(doubt(-0.06).is_contradicted_as(&doubt(-0.055), &config));
+        assert!(!doubt(-0.06).is_contradicted_as(&doubt(-0.02), &config), "these are errors of keypoints");
+        assert!(!doubt(-0.06).is_contradicted_as(&doubt(0.06), &config));
+        let tolerable = IntrinsicsDoubt { contradiction: None, ..doubt(-0.06) };
+        assert!(!doubt(-0.06).is_contradicted_as(&tolerable, &config));
     }
 }

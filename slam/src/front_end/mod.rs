@@ -18,6 +18,8 @@ use vision::scale::BilinearResizer;
 use vision::{GrayImage, OrbExtractor, scale};
 use weak_texture::WeakTexture;
 
+pub(crate) use weak_texture::CameraState;
+
 /// Extracts features of one stream of images; follows lines from image to image.
 pub(crate) struct FrontEnd {
     camera: Camera,
@@ -47,11 +49,15 @@ impl FrontEnd {
         }
     }
 
-    /// Asks for so many keypoints per image from now on. While there is no map (`is_initializing`), texture
-    /// too weak for one is amplified from then on.
-    pub fn set_n_features(&mut self, n_features: usize, is_initializing: bool) {
+    /// Asks for so many keypoints per image from now on.
+    pub fn set_n_features(&mut self, n_features: usize) {
         self.extractor.set_n_features(n_features);
-        self.weak_texture.set_initializing(is_initializing);
+    }
+
+    /// What the camera is doing when the next image comes: where it has no pose, texture too weak for
+    /// ordinary corners is amplified.
+    pub fn set_camera_state(&mut self, camera: CameraState) {
+        self.weak_texture.set_camera_state(camera);
     }
 
     /// The image at the size the features are looked for in.

@@ -11,4 +11,4 @@ pub(crate) use corrections::{Anchoring, Corrections, apply_corrections};
 pub(crate) use direction::{DirectionEstimate, estimate_direction, in_world, sigma_rad};
 pub(crate) use extent::seen_part;
 pub(crate) use track_view::{TrackView, directed};
-pub(crate) use visibility::VisibilityCounts;
+pub(crate) use visibility::{VisibilityCounts, VisibleLandmarks};

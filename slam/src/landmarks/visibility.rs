@@ -4,10 +4,17 @@ use crate::map::{LineId, PointId};
 use std::collections::BTreeMap;
 
 /// How often each landmark should have been found and was, since the last keyframe.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(crate) struct VisibilityCounts {
     counts: BTreeMap<PointId, (u32, u32)>,
     line_counts: BTreeMap<LineId, (u32, u32)>,
+}
+
+/// The landmarks that a frame should see under a pose that may yet be refused.
+#[derive(Debug)]
+pub(crate) struct VisibleLandmarks {
+    pub points: Vec<PointId>,
+    pub lines: Vec<LineId>,
 }
 
 impl VisibilityCounts {

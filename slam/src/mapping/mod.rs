@@ -139,7 +139,11 @@ impl Mapper {
             self.map.count_line_visibility(line, n_visible, n_found);
         }
         if !self.insert(new.keyframe, &new.place) {
-            return self.update(new.frames);
+            // Nothing may refer to a keyframe that is not there.
+            let mut frames = new.frames;
+            let of_it = |frame: &&mut FrameRecord| frame.pose.is_some_and(|pose| pose.reference == id);
+            frames.iter_mut().filter(of_it).for_each(|frame| frame.pose = Some(new.place));
+            return self.update(frames);
         }
         culling::cull_recent_points(&mut self.map, &mut self.recent_points, id, &self.config.mapping);
         let made = triangulation::triangulate_with_neighbors(&mut self.map, id, &self.config.mapping);

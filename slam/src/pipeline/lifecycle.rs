@@ -4,7 +4,7 @@ use super::Pipeline;
 use crate::backfill::Backfill;
 use crate::clock::Clock;
 use crate::config::{ConfigError, SlamConfig, Threading};
-use crate::front_end::FrontEnd;
+use crate::front_end::{CameraState, FrontEnd};
 use crate::initialization::Initializer;
 use crate::input::{ResumeError, ResumeState};
 use crate::map::{Map, MapUpdate};
@@ -146,6 +146,16 @@ impl Pipeline {
             Some(_) => self.config.initialization.n_features.max(self.config.orb.n_features),
             None => self.config.orb.n_features,
         };
-        self.front_end.set_n_features(n_features, self.initializer.is_some());
+        self.front_end.set_n_features(n_features);
+    }
+
+    pub(super) fn camera_state(&self) -> CameraState {
+        if self.tracker.last_frame().is_some() {
+            CameraState::Followed
+        } else if self.initializer.is_some() {
+            CameraState::Beginning
+        } else {
+            CameraState::Lost
+        }
     }
 }

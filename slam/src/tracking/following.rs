@@ -6,7 +6,7 @@ use super::Tracker;
 use super::frame::TrackedFrame;
 use super::pose::{Placement, place_frame};
 use crate::features::View;
-use crate::landmarks::VisibilityCounts;
+use crate::landmarks::VisibleLandmarks;
 use crate::map::{FramePose, Map};
 use crate::matching::{Expected, match_keyframe, search_by_motion};
 use geometry::Pose;
@@ -19,6 +19,9 @@ const MAX_EXTRAPOLATION: f64 = 15.0;
 /// Frames after a relocalization in which the local map is searched more widely, and how much.
 const WIDE_SEARCH_FRAMES: u64 = 10;
 const WIDE_SEARCH_FACTOR: f64 = 2.5;
+/// A frame that is recognized this many times as far off as the motion so far leads to was taken after a cut:
+/// people and cars speed up two- or threefold from one image to the next, cuts are dozens of steps wide.
+const CUT_SPEED_FACTOR: f64 = 8.0;
 
 /// The frame before, as the motion model needs it.
 pub(super) struct LastFrame {
@@ -38,12 +41,27 @@ struct Followed {
     n_inliers: usize,
 }
 
+/// What the pose of a frame is found from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum PoseStart {
+    /// From the frame before.
+    Followed,
+    /// From what a keyframe shows, by descriptors alone.
+    Recognized,
+    /// From a place that was looked for in the whole map.
+    Relocalized,
+}
+
 /// A frame placed by the local map.
 pub(super) struct InLocalMap {
     pub frame: TrackedFrame,
     pub placement: Placement,
     /// Points that could have been found.
     pub n_expected: usize,
+    /// What should be visible under the pose it was looked for with.
+    pub visible: VisibleLandmarks,
+    /// Where the search began.
+    pub start: PoseStart,
 }
 
 impl InLocalMap {
@@ -58,14 +76,17 @@ impl Tracker {
     /// descriptors alone then compete with it, and the one with which the most landmarks agree wins.
     pub(super) fn follow_in_map(&mut self, view: &View, map: &Map) -> Option<InLocalMap> {
         let last = self.last.take()?;
-        let counts = self.visibility.clone();
-        let followed = self.follow(&last, view, map).map(|frame| self.place_in_local_map(frame, map));
+        let followed =
+            self.follow(&last, view, map).map(|frame| self.track_local_map(frame, PoseStart::Followed, map));
         let n_required = self.config.tracking.doubtful_kept_share * last.frame.n_landmarks() as f64;
         let found = match followed {
             Some(found) if found.n_inliers() as f64 >= n_required => Some(found),
-            found => self.compete(found, &last, view, map, counts),
+            found => self.compete(found, &last, view, map),
         };
         self.last = Some(last);
+        if let Some(found) = &found {
+            self.count_visibility(found);
+        }
         found
     }
 
@@ -76,7 +97,6 @@ impl Tracker {
         last: &LastFrame,
         view: &View,
         map: &Map,
-        counts: VisibilityCounts,
     ) -> Option<InLocalMap> {
         let mut reference_ids = vec![last.frame.reference];
         reference_ids.extend(best.as_ref().map(|found| found.frame.reference));
@@ -88,22 +108,13 @@ impl Tracker {
             else {
                 continue;
             };
-            // Only the pose that wins counts.
-            let before = std::mem::replace(&mut self.visibility, counts.clone());
-            let found = self.place_in_local_map(frame, map);
+            let found = self.track_local_map(frame, PoseStart::Recognized, map);
             let n_best = best.as_ref().map_or(0, InLocalMap::n_inliers);
             if found.n_inliers() as f64 > self.config.tracking.better_pose_factor * n_best as f64 {
                 best = Some(found);
-            } else {
-                self.visibility = before;
             }
         }
         best
-    }
-
-    fn place_in_local_map(&mut self, mut frame: TrackedFrame, map: &Map) -> InLocalMap {
-        let (placement, n_expected) = self.track_local_map(&mut frame, map);
-        InLocalMap { frame, placement, n_expected }
     }
 
     /// By the motion so far, or, where little is found by that, by what the reference keyframe sees or by
@@ -185,27 +196,50 @@ impl Tracker {
         (n_inliers >= n_required).then_some(Followed { frame, n_inliers })
     }
 
-    /// Finds more of what is near and places the frame by all of it. Returns how many points could have been
-    /// found, too.
-    pub(super) fn track_local_map(&mut self, frame: &mut TrackedFrame, map: &Map) -> (Placement, usize) {
+    /// Finds more of what is near and places the frame by all of it. Counts nothing: the pose may yet be
+    /// refused.
+    pub(super) fn track_local_map(
+        &mut self,
+        mut frame: TrackedFrame,
+        start: PoseStart,
+        map: &Map,
+    ) -> InLocalMap {
         let config = &self.config.tracking;
-        if let Some(reference) = self.local_map.collect(map, frame, config) {
+        if let Some(reference) = self.local_map.collect(map, &frame, config) {
             frame.reference = reference;
             frame.submap = map.keyframe(reference).map_or(frame.submap, |keyframe| keyframe.submap);
         }
         let wide = self.n_since_relocalization.is_some_and(|n| n < WIDE_SEARCH_FRAMES);
         let radius = config.map_search_radius_px * if wide { WIDE_SEARCH_FACTOR } else { 1.0 };
-        let n_visible = self.local_map.search(map, frame, radius, config, &mut self.visibility);
-        self.local_map.search_lines(map, frame, &self.config.lines, &mut self.visibility);
-        let placement = place_frame(frame, map, &self.config.primitives);
+        let points = self.local_map.search(map, &mut frame, radius, config);
+        let lines = self.local_map.search_lines(map, &mut frame, &self.config.lines);
+        let visible = VisibleLandmarks { points, lines };
+        let placement = place_frame(&mut frame, map, &self.config.primitives);
+        // Of crowded places the extractor picks only so many keypoints.
+        let n_expected = visible.points.len().min(frame.features.len());
+        InLocalMap { frame, placement, n_expected, visible, start }
+    }
+
+    /// Counts what a frame whose pose is accepted should have seen and did.
+    pub(super) fn count_visibility(&mut self, found: &InLocalMap) {
+        let InLocalMap { frame, visible, .. } = found;
+        visible.points.iter().for_each(|id| self.visibility.visible(*id));
+        visible.lines.iter().for_each(|id| self.visibility.line_visible(*id));
         frame.points.iter().flatten().for_each(|id| self.visibility.found(*id));
         frame.lines.iter().flatten().for_each(|id| self.visibility.line_found(*id));
-        // Of crowded places the extractor picks only so many keypoints.
-        (placement, n_visible.min(frame.features.len()))
     }
 }
 
 impl LastFrame {
+    /// Whether the recording seems to be cut after this frame: the way to the next, and the time it took, is no
+    /// motion that could go on.
+    pub fn is_cut_before(&self, (motion, interval_ns): &(Pose, i64)) -> bool {
+        let speed = |motion: &Pose, interval_ns: i64| motion.translation.norm() / interval_ns.abs() as f64;
+        self.motion.as_ref().is_some_and(|(before, before_ns)| {
+            speed(motion, *interval_ns) > CUT_SPEED_FACTOR * speed(before, *before_ns)
+        })
+    }
+
     /// The pose the motion so far leads to, for equal velocity over a frame interval that may differ from the
     /// last.
     pub fn predict(&self, timestamp_ns: i64) -> Pose {

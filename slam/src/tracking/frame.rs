@@ -63,6 +63,21 @@ impl TrackedFrame {
         }
     }
 
+    /// The frame that a keyframe was made of, where the map has it now.
+    pub fn of_keyframe(keyframe: &Keyframe) -> Self {
+        Self {
+            sequence: keyframe.sequence,
+            timestamp_ns: keyframe.timestamp_ns,
+            features: keyframe.features.clone(),
+            points: keyframe.points.clone(),
+            lines: keyframe.lines.clone(),
+            primitives: vec![None; keyframe.lines.len()],
+            camera_from_world: keyframe.camera_from_world,
+            reference: keyframe.id,
+            submap: keyframe.submap,
+        }
+    }
+
     /// The frame's place in the trajectory, relative to its reference keyframe as it stands in `map`.
     pub fn pose_in(&self, map: &Map) -> Option<FramePose> {
         map.place_beside(self.reference, &self.camera_from_world)

@@ -2,7 +2,6 @@
 
 use super::frame::TrackedFrame;
 use crate::config::{LineConfig, TrackingConfig};
-use crate::landmarks::VisibilityCounts;
 use crate::map::{KeyframeId, LineId, Map, PointId, PointLandmark};
 use crate::matching::{ExpectedLine, PredictedSegment, PredictedView, Window, find_in_window, match_lines};
 use std::collections::{BTreeMap, BTreeSet};
@@ -76,16 +75,11 @@ impl LocalMap {
         }
     }
 
-    /// Looks for the lines of the local map that the frame has not found yet.
-    pub fn search_lines(
-        &mut self,
-        map: &Map,
-        frame: &mut TrackedFrame,
-        config: &LineConfig,
-        visibility: &mut VisibilityCounts,
-    ) {
-        for id in frame.lines.iter().flatten() {
-            visibility.line_visible(*id);
+    /// Looks for the lines of the local map that the frame has not found yet. Returns which it should see in
+    /// all.
+    pub fn search_lines(&mut self, map: &Map, frame: &mut TrackedFrame, config: &LineConfig) -> Vec<LineId> {
+        let mut visible: Vec<LineId> = frame.lines.iter().flatten().copied().collect();
+        for id in &visible {
             self.lines.remove(id);
         }
         let expected: Vec<ExpectedLine<'_>> = self
@@ -103,38 +97,36 @@ impl LocalMap {
         {
             frame.lines[segment_idx] = Some(id);
         }
-        expected.iter().for_each(|expected| visibility.line_visible(expected.line.id));
+        visible.extend(expected.iter().map(|expected| expected.line.id));
+        visible
     }
 
-    /// Looks for the points of the local map that the frame has not found yet. Returns how many it should see
-    /// in all.
+    /// Looks for the points of the local map that the frame has not found yet. Returns which it should see in
+    /// all.
     pub fn search(
         &mut self,
         map: &Map,
         frame: &mut TrackedFrame,
         radius_px: f64,
         config: &TrackingConfig,
-        visibility: &mut VisibilityCounts,
-    ) -> usize {
+    ) -> Vec<PointId> {
         // A round of its own marks what the frame has already.
         self.round = self.round.wrapping_add(1);
-        for id in frame.points.iter().flatten() {
+        let mut visible: Vec<PointId> = frame.points.iter().flatten().copied().collect();
+        for id in &visible {
             if let Some(stamp) = self.stamps.get_mut(id.index()) {
                 *stamp = self.round;
             }
-            visibility.visible(*id);
         }
         let min_view_cosine = config.max_view_angle_deg.to_radians().cos();
         let center = frame.camera_from_world.center();
         let features = frame.features.clone();
-        let mut n_visible = frame.points.iter().flatten().count();
         for id in self.points.iter().filter(|id| self.stamps[id.index()] != self.round) {
             let Some(point) = map.point(*id) else { continue };
             let view =
                 PredictedView::of(point, &frame.camera_from_world, &center, &features, min_view_cosine);
             let Some(view) = view else { continue };
-            n_visible += 1;
-            visibility.visible(*id);
+            visible.push(*id);
             let window = Window {
                 pixel: view.pixel,
                 radius_px: view.radius_px(radius_px, &features),
@@ -148,7 +140,7 @@ impl LocalMap {
                 frame.points[feature_idx] = Some(*id);
             }
         }
-        n_visible
+        visible
     }
 }
 

@@ -11,6 +11,8 @@ mod pose;
 mod primitives;
 mod recovery;
 pub(crate) mod relocalization;
+#[cfg(test)]
+mod tests;
 
 use crate::config::{ConfigError, SlamConfig};
 use crate::features::View;
@@ -18,7 +20,7 @@ use crate::landmarks::VisibilityCounts;
 use crate::map::{Map, SubmapId};
 use crate::report::{LostReason, TrackingOutcome};
 use alignment::Aligner;
-use following::LastFrame;
+use following::{LastFrame, PoseStart};
 use frame::{Inliers, TrackedFrame};
 use geometry::nalgebra::UnitQuaternion;
 use geometry::{Camera, Pose};
@@ -176,17 +178,26 @@ impl Tracker {
         if let Some(found) = self.follow_in_map(view, map) {
             let outcome =
                 judge(&found.placement, found.n_expected, self.is_coasting(), &self.config.tracking);
-            return self.conclude(found.frame, found.placement.inliers, outcome, false, map);
+            return self.conclude(found.frame, found.placement.inliers, outcome, found.start, map);
         }
         let found = self.relocalize(view, map, None);
         let n_candidates = self.relocalizer.as_ref().map_or(0, Relocalizer::n_candidates);
         match found {
-            Some((frame, inliers, outcome)) => self.conclude(frame, inliers, outcome, true, map),
+            Some((frame, inliers, outcome)) => {
+                self.conclude(frame, inliers, outcome, PoseStart::Relocalized, map)
+            }
             None => {
                 let lost = self.lose(view.timestamp_ns, LostReason::NotRelocalized { n_candidates });
                 Tracked { n_candidates: Some(n_candidates), ..lost }
             }
         }
+    }
+
+    /// Passes a frame that is a keyframe, whose pose the map knows better than tracking would.
+    pub fn pass(&mut self, frame: TrackedFrame, map: &Map) {
+        let timestamp_ns = frame.timestamp_ns;
+        self.conclude(frame, Inliers::default(), TrackingOutcome::Tracked, PoseStart::Followed, map);
+        self.last_timestamp_ns = Some(timestamp_ns);
     }
 
     /// Whether a frame with these inliers should become a keyframe.
@@ -212,18 +223,20 @@ impl Tracker {
         frame: TrackedFrame,
         inliers: Inliers,
         outcome: TrackingOutcome,
-        relocalized: bool,
+        start: PoseStart,
         map: &Map,
     ) -> Tracked {
         if let TrackingOutcome::Lost(reason) = outcome {
             return self.lose(frame.timestamp_ns, reason);
         }
+        let relocalized = start == PoseStart::Relocalized;
         if let Some(n) = self.n_since_relocalization.as_mut().filter(|_| !relocalized) {
             *n += 1;
         }
-        let motion = self.last.as_ref().filter(|_| !relocalized).map(|last| {
+        let motion = self.last.as_ref().filter(|_| !relocalized).and_then(|last| {
             let motion = frame.camera_from_world * last.frame.camera_from_world.inverse();
-            (motion, frame.timestamp_ns - last.frame.timestamp_ns)
+            let motion = (motion, frame.timestamp_ns - last.frame.timestamp_ns);
+            (start == PoseStart::Followed || !last.is_cut_before(&motion)).then_some(motion)
         });
         self.line_tracks.remember(&frame);
         self.primitive_tracks.remember(&frame);

@@ -1,5 +1,6 @@
 //! Recovery of a lost camera: candidates for relocalization, and whether one is credible.
 
+use super::following::PoseStart;
 use super::frame::{Inliers, TrackedFrame};
 use super::judgement::judge;
 use super::{Tracked, Tracker};
@@ -31,7 +32,7 @@ impl Tracker {
         let before = self.last.take();
         match self.relocalize(view, map, Some(except)) {
             Some((frame, inliers, outcome @ TrackingOutcome::Tracked)) => {
-                Some(self.conclude(frame, inliers, outcome, true, map))
+                Some(self.conclude(frame, inliers, outcome, PoseStart::Relocalized, map))
             }
             _ => {
                 self.last = before;
@@ -56,15 +57,17 @@ impl Tracker {
             let found = map
                 .keyframe(candidate)
                 .and_then(|keyframe| self.relocalizer.as_mut()?.try_place(view, keyframe, map));
-            let Some(mut frame) = found else { continue };
-            let before = (self.n_since_relocalization.replace(0), self.visibility.clone());
-            let (placement, n_expected) = self.track_local_map(&mut frame, map);
-            let outcome = judge(&placement, n_expected, true, &self.config.tracking);
+            let Some(frame) = found else { continue };
+            let before = self.n_since_relocalization.replace(0);
+            let found = self.track_local_map(frame, PoseStart::Relocalized, map);
+            let (inliers, n_expected) = (found.placement.inliers, found.n_expected);
+            let outcome = judge(&found.placement, n_expected, true, &self.config.tracking);
             let is_lost = matches!(outcome, TrackingOutcome::Lost(_));
-            if !is_lost && self.is_credible(&frame, placement.inliers, n_expected, &reaches) {
-                return Some((frame, placement.inliers, outcome));
+            if !is_lost && self.is_credible(&found.frame, inliers, n_expected, &reaches) {
+                self.count_visibility(&found);
+                return Some((found.frame, inliers, outcome));
             }
-            (self.n_since_relocalization, self.visibility) = before;
+            self.n_since_relocalization = before;
         }
         None
     }

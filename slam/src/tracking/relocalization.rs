@@ -37,8 +37,8 @@ pub(crate) struct Relocalizer {
     finder: Option<VanishingFinder>,
     rng: ChaCha8Rng,
     n_candidates: usize,
-    /// Vanishing points of the frame that is looked for, in its camera's frame, once they were asked for.
-    vanishing: Option<Vec<Vector3<f64>>>,
+    /// The frame whose vanishing points were asked for last, by its number, and these, in its camera's frame.
+    vanishing: Option<(u64, Vec<Vector3<f64>>)>,
 }
 
 /// Keypoints of a frame that look like landmarks.
@@ -88,7 +88,6 @@ impl Relocalizer {
         let candidates =
             self.places.most_similar(&view.features.descriptors, self.config.max_candidates, is_wanted);
         self.n_candidates = candidates.len();
-        self.vanishing = None;
         candidates.iter().map(|candidate| candidate.keyframe).collect()
     }
 
@@ -148,8 +147,10 @@ impl Relocalizer {
     /// primitives are.
     fn attitudes(&mut self, view: &View, keyframe: &Keyframe, map: &Map) -> Vec<UnitQuaternion<f64>> {
         let Some(finder) = &mut self.finder else { return Vec::new() };
-        let seen = self.vanishing.get_or_insert_with(|| {
-            finder.find(&view.features, &[]).iter().map(|vanishing| vanishing.direction).collect()
+        self.vanishing.take_if(|(sequence, _)| *sequence != view.sequence);
+        let (_, seen) = self.vanishing.get_or_insert_with(|| {
+            let found = finder.find(&view.features, &[]);
+            (view.sequence, found.iter().map(|vanishing| vanishing.direction).collect())
         });
         let in_submap = map.primitives().filter(|primitive| primitive.submap == keyframe.submap);
         let known: Vec<Vector3<f64>> = in_submap.map(|primitive| *primitive.direction.as_vector()).collect();

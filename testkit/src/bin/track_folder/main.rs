@@ -1,12 +1,15 @@
 //! Runs the engine alone over a recording and writes the trajectory, for work on the engine itself.
 //!
 //! `cargo run --release -p testkit --bin track_folder -- DATASET OUT.txt [--inline] [--start N] [--end N]
-//! [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--no-calibration] [--verbose]`
+//! [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--no-calibration] [--verbose] [--states]`
 //!
 //! The dataset is a folder of a layout that `monoslam` reads, also looked for in the folder that
-//! `MONOSLAM_DATA` names. Through the service, and measured against the truth, is the business of `monoslam`.
+//! `MONOSLAM_DATA` names. `--states` prints how many frames of each state are wrong, where the recording has a
+//! truth. Through the service, and measured against the truth, is the business of `monoslam`.
 
-use recordings::{Recording, find_folder};
+mod states;
+
+use recordings::{Recording, Trajectory, find_folder};
 use slam::map::{FrameRecord, FrameState};
 use slam::{FeatureSwitches, Frame, Pipeline, ResumeState, SlamConfig, Threading};
 use std::collections::BTreeMap;
@@ -23,7 +26,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [dataset, out, ..] = arguments.words() else {
         return Err("usage: track_folder DATASET OUT.txt".into());
     };
-    let recording = Recording::open(&find_folder(dataset)?, None)?;
+    let folder = find_folder(dataset)?;
+    let recording = Recording::open(&folder, None)?;
     let config = SlamConfig {
         threading: if flag("--inline") { Threading::Inline } else { Threading::Background },
         seed: value("--seed").map_or(Ok(0), |seed| seed.parse())?,
@@ -119,6 +123,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("cpu ms: {} wall ms: {} total {elapsed:.1} s", summary(&mut cpu_ms), summary(&mut wall_ms));
     for (name, times) in &mut stage_ms {
         println!("  {name}: {}", summary(times));
+    }
+    if flag("--states") {
+        print!("{}", states::table(&records, &map, &Trajectory::read(&folder.join("groundtruth.txt"))?));
     }
     map.check()?;
     Ok(())
