@@ -273,6 +273,20 @@ def test_a_server_killed_in_mid_stream_loses_nothing(
     assert len(np.unique(trajectory.sequence)) == len(trajectory) > 0.7 * len(room)
 
 
+def test_a_real_time_stream_sends_again_only_what_the_server_can_queue(
+    server: Server, client: Client, room: Folder
+) -> None:
+    client.create_session("a", room.camera)
+    n_tracked = 0
+    for answer in client.stream("a", room[:40], policy="realtime"):
+        n_tracked += isinstance(answer, FrameResult)
+        if answer.sequence == 30:
+            server.kill()
+            server.start()
+    session = client.session("a")
+    assert session is not None and session.n_frames == n_tracked
+
+
 def test_a_server_killed_after_the_last_answer_loses_nothing(
     server: Server, client: Client, room: Folder
 ) -> None:

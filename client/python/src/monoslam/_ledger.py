@@ -22,6 +22,9 @@ MAX_HELD_BYTES = 256 << 20
 with each keyframe, so that more is needed only if the camera stands still for long. Then the oldest are let
 go; should the server be killed just then, those are missing."""
 
+CATCH_UP = 2
+"""Frames that are sent again, on their way at the same time: a real-time server drops what it cannot queue."""
+
 _FRAME_BYTES = 512
 """What holding a frame costs besides its pixels."""
 
@@ -38,6 +41,8 @@ class Ledger:
         self._next_new = 0
         self._first_unanswered = 0
         self._cursor: int | None = None
+        self._n_in_flight = 0
+        self._again_to = 0
         self._forgotten_to = -1
         self.last_result: int | None = None
         """The last frame that the server tracked or tried to, which is to become durable."""
@@ -65,9 +70,15 @@ class Ledger:
     @property
     def has_next(self) -> bool:
         """Whether there is a frame to send on this connection."""
-        if self._cursor is None or not self._held:
+        if self._cursor is None or not self._held or self._is_catching_up:
             return False
         return next(reversed(self._held)) >= self._cursor
+
+    @property
+    def _is_catching_up(self) -> bool:
+        """Whether frames that are sent again are on their way, and as many as may be."""
+        cursor = self._cursor or 0
+        return cursor < self._again_to and self._n_in_flight >= CATCH_UP
 
     def disconnected(self) -> None:
         """Nothing is to be sent until the next `opened`."""
@@ -81,6 +92,7 @@ class Ledger:
             self.n_missing += max(0, self._forgotten_to - next_sequence + 1)
         # Frames that the server has, but whose answer was lost, are answered again and not tracked twice.
         self._cursor = min(self._first_unanswered, next_sequence)
+        self._n_in_flight, self._again_to = 0, self._next_new
 
     def add(self, frame: Frame) -> int:
         """Takes a frame and gives it the next number."""
@@ -97,11 +109,12 @@ class Ledger:
         return sequence
 
     def take(self) -> tuple[int, Frame] | None:
-        """The next frame to send on this connection."""
-        while self._cursor is not None and self._cursor < self._next_new:
+        """The next frame to send on this connection; `None` if there is none now."""
+        while self._cursor is not None and self._cursor < self._next_new and not self._is_catching_up:
             sequence = self._cursor
             self._cursor += 1
             if sequence in self._held:
+                self._n_in_flight += 1
                 return sequence, self._held[sequence]
         return None
 
@@ -110,6 +123,7 @@ class Ledger:
         sequence = answer.sequence
         if self._first is None or not self._first <= sequence < self._next_new:
             raise ProtocolError(f"the server answered frame {sequence}, which was not sent")
+        self._n_in_flight -= 1
         is_first = sequence >= self._first_unanswered
         self._first_unanswered = max(self._first_unanswered, sequence + 1)
         if isinstance(answer, FrameResult):
