@@ -37,7 +37,10 @@ describe('frames of a stream', () => {
     expect(sent(ledger)).toEqual([1, 2]);
     expect([1, 2].map((sequence) => ledger.answered(sequence, true, 1))).toEqual([false, false]);
     expect(sent(ledger)).toEqual([3, 4]);
-    expect(ledger.answered(3, true, 1)).toBe(true);
+    ledger.add(shot());
+    expect(sent(ledger)).toEqual([]);
+    expect([3, 4].map((sequence) => ledger.answered(sequence, true, 1))).toEqual([true, true]);
+    expect(sent(ledger)).toEqual([5]);
   });
 
   it('are not sent again once they are dropped or saved', () => {

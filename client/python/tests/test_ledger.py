@@ -51,7 +51,10 @@ def test_what_a_killed_server_lost_is_sent_again_and_answered_once() -> None:
     assert sent(ledger) == [2, 3] and not ledger.has_next
     assert [ledger.note(result(i)) for i in (2, 3)] == [False, False] and ledger.has_next
     assert sent(ledger) == [4, 5]
+    ledger.add(frame(6))
+    assert sent(ledger) == [] and not ledger.has_next
     assert [ledger.note(result(i)) for i in (4, 5)] == [True, True]
+    assert sent(ledger) == [6]
     assert ledger.n_missing == 0
 
 

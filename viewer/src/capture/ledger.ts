@@ -13,7 +13,10 @@ export interface Shot {
 /** Frames without an answer, at most. More would be old by the time the server sees them. */
 export const WINDOW = 3;
 
-/** Frames that are sent again, on their way at the same time: the server drops what it cannot queue. */
+/**
+ * Frames on their way at the same time until those that are sent again are answered: the server drops the oldest when
+ * it cannot queue them.
+ */
 export const CATCH_UP = 2;
 
 /** Memory for frames that are answered and not yet saved, bytes: some 1500 images. Beyond it the oldest are let go. */
@@ -27,6 +30,7 @@ export class Ledger {
   #cursor: number | null = null;
   #nInFlight = 0;
   #againTo = 0;
+  #answeredTo = 0;
 
   /** Frames without an answer. */
   get nUnanswered(): number {
@@ -54,6 +58,7 @@ export class Ledger {
     this.#cursor = Math.min(this.#firstUnanswered, nextSequence);
     this.#nInFlight = 0;
     this.#againTo = this.#next;
+    this.#answeredTo = this.#cursor;
   }
 
   /** Takes a frame and gives it the next number. */
@@ -71,7 +76,7 @@ export class Ledger {
   /** The next frame to send on this connection; `null` if there is none now. */
   take(): [number, Shot] | null {
     while (this.#cursor !== null && this.#next !== null && this.#cursor < this.#next) {
-      if (this.#cursor < this.#againTo && this.#nInFlight >= CATCH_UP) return null;
+      if (this.#answeredTo < this.#againTo && this.#nInFlight >= CATCH_UP) return null;
       const sequence = this.#cursor;
       this.#cursor += 1;
       const shot = this.#held.get(sequence);
@@ -89,6 +94,7 @@ export class Ledger {
    */
   answered(sequence: number, isKept: boolean, durable: number | null): boolean {
     this.#nInFlight -= 1;
+    this.#answeredTo = sequence + 1;
     const isFirst = sequence >= this.#firstUnanswered;
     this.#firstUnanswered = Math.max(this.#firstUnanswered, sequence + 1);
     if (!isKept) this.#release(sequence);

@@ -23,7 +23,8 @@ with each keyframe, so that more is needed only if the camera stands still for l
 go; should the server be killed just then, those are missing."""
 
 CATCH_UP = 2
-"""Frames that are sent again, on their way at the same time: a real-time server drops what it cannot queue."""
+"""Frames on their way at the same time until those that are sent again are answered: a real-time server drops
+the oldest when it cannot queue them."""
 
 _FRAME_BYTES = 512
 """What holding a frame costs besides its pixels."""
@@ -42,7 +43,7 @@ class Ledger:
         self._first_unanswered = 0
         self._cursor: int | None = None
         self._n_in_flight = 0
-        self._again_to = 0
+        self._again_to = self._answered_to = 0
         self._forgotten_to = -1
         self.last_result: int | None = None
         """The last frame that the server tracked or tried to, which is to become durable."""
@@ -76,9 +77,8 @@ class Ledger:
 
     @property
     def _is_catching_up(self) -> bool:
-        """Whether frames that are sent again are on their way, and as many as may be."""
-        cursor = self._cursor or 0
-        return cursor < self._again_to and self._n_in_flight >= CATCH_UP
+        """Whether frames that are sent again wait for their answers, and as many are on their way as may be."""
+        return self._answered_to < self._again_to and self._n_in_flight >= CATCH_UP
 
     def disconnected(self) -> None:
         """Nothing is to be sent until the next `opened`."""
@@ -92,7 +92,7 @@ class Ledger:
             self.n_missing += max(0, self._forgotten_to - next_sequence + 1)
         # Frames that the server has, but whose answer was lost, are answered again and not tracked twice.
         self._cursor = min(self._first_unanswered, next_sequence)
-        self._n_in_flight, self._again_to = 0, self._next_new
+        self._n_in_flight, self._again_to, self._answered_to = 0, self._next_new, self._cursor
 
     def add(self, frame: Frame) -> int:
         """Takes a frame and gives it the next number."""
@@ -124,6 +124,7 @@ class Ledger:
         if self._first is None or not self._first <= sequence < self._next_new:
             raise ProtocolError(f"the server answered frame {sequence}, which was not sent")
         self._n_in_flight -= 1
+        self._answered_to = sequence + 1
         is_first = sequence >= self._first_unanswered
         self._first_unanswered = max(self._first_unanswered, sequence + 1)
         if isinstance(answer, FrameResult):
