@@ -4,7 +4,7 @@ import { join } from 'node:path';
 import { defineConfig, type Plugin } from 'vite';
 
 /** What the page is built from; the repository's tests hash the same files in the same order. */
-const SOURCES = ['index.html', 'package-lock.json', 'package.json', 'public', 'src', 'vite.config.ts'];
+const SOURCES = ['capture.html', 'index.html', 'package-lock.json', 'package.json', 'public', 'src', 'vite.config.ts'];
 
 function files(path: string): string[] {
   try {
@@ -32,7 +32,7 @@ function sourcesHash(): Plugin {
 }
 
 /** The server that `npm run dev` takes sessions from. */
-const proxy = { '/v1': process.env['VIEWER_HTTP'] ?? 'http://127.0.0.1:8080' };
+const proxy = { '/v1': { target: process.env['VIEWER_HTTP'] ?? 'http://127.0.0.1:8080', ws: true } };
 
 export default defineConfig({
   base: '/',
@@ -42,6 +42,7 @@ export default defineConfig({
     // Nothing inside the page's text: its content security policy forbids that.
     assetsInlineLimit: 0,
     chunkSizeWarningLimit: 1000,
+    rolldownOptions: { input: ['index.html', 'capture.html'] },
   },
   server: { proxy },
   preview: { proxy },

@@ -8,4 +8,5 @@ mod shutdown;
 mod storage;
 mod tracking;
 mod viewer;
+mod web_socket;
 mod writers;

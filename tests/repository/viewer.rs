@@ -6,8 +6,8 @@ use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
 /// What the page is built from, as in `viewer/vite.config.ts`.
-const SOURCES: [&str; 6] =
-    ["index.html", "package-lock.json", "package.json", "public", "src", "vite.config.ts"];
+const SOURCES: [&str; 7] =
+    ["capture.html", "index.html", "package-lock.json", "package.json", "public", "src", "vite.config.ts"];
 
 /// The files below a path, those of a folder in the order of their names.
 fn files_below(viewer: &Path, path: &Path) -> Vec<PathBuf> {

@@ -1,6 +1,7 @@
 /**
  * The page in a real browser, against real servers: `npm run browser`, with the programs built by `cargo build` and
- * a chromium in the path (or named by CHROMIUM). `-- --pictures DIR` also takes the documents' pictures.
+ * a chromium in the path (or named by CHROMIUM). `-- --pictures DIR` also takes the documents' pictures, `-- --only-capture` tries the
+ * page of the camera alone.
  */
 
 import assert from 'node:assert/strict';
@@ -8,6 +9,7 @@ import { execFileSync } from 'node:child_process';
 import { createRequire } from 'node:module';
 import { join } from 'node:path';
 import { chromium } from 'playwright-core';
+import { capture } from './capture.mjs';
 import { demonstration, emptyServer } from './servers.mjs';
 
 const AXE = createRequire(import.meta.url).resolve('axe-core/axe.min.js');
@@ -198,19 +200,26 @@ async function finished(browser, page, url, session) {
   await picture(phone, 'phone');
 }
 
-const browser = await chromium.launch({ executablePath: browserPath, args: FLAGS });
-let demo = null;
-try {
-  await emptyAndAway(browser);
-  demo = await demonstration(FRAMES);
-  const page = await newPage(browser, { colorScheme: 'dark' });
-  await live(page, demo.url);
-  const session = await whole(page, demo.url);
-  await finished(browser, page, demo.url, session);
-  assert.deepEqual(complaints, [], 'the console');
-  passed('no errors in the console');
-  console.log(`\n${n_passed} passed, 0 failed`);
-} finally {
-  await browser.close();
-  await demo?.remove();
+const forgetComplaints = () => complaints.splice(0);
+
+async function viewer() {
+  const browser = await chromium.launch({ executablePath: browserPath, args: FLAGS });
+  let demo = null;
+  try {
+    await emptyAndAway(browser);
+    demo = await demonstration(FRAMES);
+    const page = await newPage(browser, { colorScheme: 'dark' });
+    await live(page, demo.url);
+    const session = await whole(page, demo.url);
+    await finished(browser, page, demo.url, session);
+  } finally {
+    await browser.close();
+    await demo?.remove();
+  }
 }
+
+if (!process.argv.includes('--only-capture')) await viewer();
+await capture({ newPage, check, picture, passed, forgetComplaints, flags: FLAGS, browserPath });
+assert.deepEqual(complaints, [], 'the console');
+passed('no errors in the console');
+console.log(`\n${n_passed} passed, 0 failed`);

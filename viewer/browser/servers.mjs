@@ -7,7 +7,7 @@ import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { fileURLToPath } from 'node:url';
 
-const PROGRAMS = process.env.VIEWER_PROGRAMS ?? fileURLToPath(new URL('../../target/debug', import.meta.url));
+export const PROGRAMS = process.env.VIEWER_PROGRAMS ?? fileURLToPath(new URL('../../target/debug', import.meta.url));
 
 function freePort() {
   return new Promise((resolve) => {

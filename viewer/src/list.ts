@@ -17,7 +17,7 @@ export class ListPage {
   #timer = 0;
 
   constructor(private readonly root: HTMLElement) {
-    root.replaceChildren(h('section', { class: 'list' }, h('h1', {}, 'Sessions'), this.#text, this.#list, this.#more));
+    root.replaceChildren(h('section', { class: 'list' }, h('div', { class: 'row' }, h('h1', {}, 'Sessions'), h('a', { href: '/capture' }, 'Use this device’s camera')), this.#text, this.#list, this.#more));
     void this.#read();
   }
 

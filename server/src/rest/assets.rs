@@ -28,6 +28,11 @@ pub(super) async fn page(headers: HeaderMap) -> Response {
     answer("index.html", "no-cache", &headers)
 }
 
+/// The page that makes a device's camera one of ours.
+pub(super) async fn capture(headers: HeaderMap) -> Response {
+    answer("capture.html", "no-cache", &headers)
+}
+
 /// The page's small sign.
 pub(super) async fn icon(headers: HeaderMap) -> Response {
     answer("favicon.svg", "no-cache", &headers)

@@ -131,7 +131,8 @@ pub(super) struct MissedEvent {
 }
 
 impl FrameEvent {
-    fn new(report: &FrameReport, units: Units) -> Self {
+    /// Of what the engine reports, in a session of these units.
+    pub(super) fn new(report: &FrameReport, units: Units) -> Self {
         Self {
             sequence: report.sequence,
             timestamp_ns: report.timestamp_ns,

@@ -16,6 +16,7 @@ mod primitives;
 mod problem;
 mod scene;
 mod sessions;
+mod stream;
 mod system;
 mod trajectory;
 
@@ -77,6 +78,7 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
         .routes(routes!(sessions::optimize))
         .routes(routes!(scene::picture))
         .routes(routes!(events::events))
+        .routes(routes!(stream::stream))
         .routes(routes!(frames::image))
         .routes(routes!(frames::observed))
         .routes(routes!(trajectory::trajectory))
@@ -108,6 +110,7 @@ pub fn router(app: App) -> Router {
             axum::routing::get(move || async move { axum::Json(document.as_ref().clone()) }),
         )
         .route("/", axum::routing::get(assets::page))
+        .route("/capture", axum::routing::get(assets::capture))
         .route("/favicon.svg", axum::routing::get(assets::icon))
         .route("/assets/{name}", axum::routing::get(assets::asset))
         .fallback(problem::not_found)
