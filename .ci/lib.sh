@@ -42,6 +42,15 @@ tools() {
   rustc --version
 }
 
+# installed PROGRAM: whether it is there, after an attempt to install the package of its name.
+installed() {
+  command -v "$1" >/dev/null && return
+  if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+    (apt-get update -qq && DEBIAN_FRONTEND=noninteractive timeout 300 apt-get install -y -qq "$1") >/dev/null 2>&1 || true
+  fi
+  command -v "$1" >/dev/null
+}
+
 # Recordings to test with: not in the repository. Tests that need them are ignored where they are absent.
 if [ -z "${MONOSLAM_DATA:-}" ] && [ -d ../shared/data ]; then
   MONOSLAM_DATA=$(cd ../shared/data && pwd)

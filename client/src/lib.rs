@@ -5,7 +5,8 @@
 //!   saved. A connection that breaks is made again; each frame is mapped exactly once.
 //! * [`HttpClient`]: trajectories in every format.
 //!
-//! A recording, streamed into a session of its own; `SERVER` is where the service is, such as `http://127.0.0.1:50051`:
+//! A recording, streamed into a session of its own; `SERVER` is where the service is, such as
+//! `http://127.0.0.1:50051`:
 //!
 //! ```
 //! use client::{FrameSource, HttpClient, Recording, SlamClient, StreamPlan, stream_frames, v1};
@@ -46,9 +47,11 @@ mod grpc;
 mod http;
 mod pacing;
 mod placement;
+mod sequential;
 mod source;
 mod streaming;
 mod summary;
+mod tally;
 
 pub use convert::camera_message;
 pub use error::ClientError;
@@ -60,6 +63,7 @@ pub use placement::{Placement, SessionEnd};
 pub use proto::v1;
 #[doc(no_inline)]
 pub use recordings::{FileError, Layout, Recording, StampedPose, Trajectory};
-pub use source::{FrameError, FrameSource, ReadyFrame, read_ahead};
+pub use sequential::Sequential;
+pub use source::{FrameError, FrameSource, ReadyFrame, SourceFrame, read_ahead};
 pub use streaming::{StreamEvent, StreamPlan, stream_frames};
 pub use summary::{CameraFinding, Distribution, FrameAnswer, StageSummary, StreamSummary};

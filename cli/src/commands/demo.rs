@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use client::{FrameError, FrameSource, StreamSummary};
+use client::{FrameError, FrameSource, SourceFrame, StreamSummary};
 use proto::v1;
 use recordings::{StampedPose, Trajectory};
 use synthetic::{Preset, Sequence, SequenceConfig};
@@ -34,24 +34,28 @@ pub struct DemoArgs {
 struct Rendered(Sequence);
 
 impl FrameSource for Rendered {
-    fn len(&self) -> usize {
-        self.0.len()
+    fn n_frames(&self) -> Option<usize> {
+        Some(self.0.len())
     }
 
-    fn timestamp_ns(&self, frame_idx: usize) -> i64 {
-        self.0.timestamp_ns(frame_idx)
-    }
-
-    fn image(&self, frame_idx: usize) -> Result<v1::Image, FrameError> {
+    fn frame(&self, frame_idx: usize) -> Result<Option<SourceFrame>, FrameError> {
+        if frame_idx >= self.0.len() {
+            return Ok(None);
+        }
         let image = self.0.frame(frame_idx).image;
         let (width, height) = (image.width(), image.height());
-        Ok(v1::Image {
+        let image = v1::Image {
             encoding: v1::ImageEncoding::Gray8.into(),
             width,
             height,
             row_stride: 0,
             data: image.pixels().to_vec().into(),
-        })
+        };
+        Ok(Some(SourceFrame { timestamp_ns: self.0.timestamp_ns(frame_idx), image }))
+    }
+
+    fn timestamp_ns(&self, frame_idx: usize) -> Result<Option<i64>, FrameError> {
+        Ok((frame_idx < self.0.len()).then(|| self.0.timestamp_ns(frame_idx)))
     }
 }
 

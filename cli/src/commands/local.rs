@@ -89,7 +89,7 @@ impl LocalServer {
         let plan = plan(session.id, source.as_ref());
         let summary = stream_with_progress(&mut client, &source, &plan).await?;
         let estimate = HttpClient::new(self.http()).trajectory(&plan.session_id).await?;
-        let options = EvaluationOptions { n_frames: Some(source.len()), ..EvaluationOptions::default() };
+        let options = EvaluationOptions { n_frames: Some(summary.frames), ..EvaluationOptions::default() };
         let evaluation = match truth.map(|truth| evaluate(truth, &estimate, &options)) {
             Some(Ok(evaluation)) => Some(evaluation),
             Some(Err(error)) => {
@@ -98,7 +98,7 @@ impl LocalServer {
             }
             None => None,
         };
-        let coverage = estimate.len() as f64 / source.len().max(1) as f64;
+        let coverage = estimate.len() as f64 / summary.frames.max(1) as f64;
         Ok(LocalOutcome { summary, trajectory: estimate, coverage, evaluation })
     }
 

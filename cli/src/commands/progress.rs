@@ -14,18 +14,22 @@ const LINE_INTERVAL: Duration = Duration::from_secs(2);
 pub struct Progress {
     bar: Option<ProgressBar>,
     first_idx: usize,
-    n_frames: usize,
+    n_frames: Option<usize>,
     n_tracked: usize,
     last_line: Instant,
 }
 
 impl Progress {
-    /// For `n_frames` frames from number `first_idx` of their source on.
-    pub fn new(first_idx: usize, n_frames: usize) -> Self {
+    /// For `n_frames` frames, or nobody knows how many, from number `first_idx` of their source on.
+    pub fn new(first_idx: usize, n_frames: Option<usize>) -> Self {
         let bar = stderr().is_terminal().then(|| {
-            let template = "{bar:40} {pos}/{len} frames, {per_sec}, {eta} left, {msg}";
-            let style = ProgressStyle::with_template(template).expect("the template is valid");
-            ProgressBar::new(n_frames as u64).with_style(style)
+            let (bar, template) = match n_frames {
+                Some(n) => {
+                    (ProgressBar::new(n as u64), "{bar:40} {pos}/{len} frames, {per_sec}, {eta} left, {msg}")
+                }
+                None => (ProgressBar::no_length(), "{spinner} {pos} frames, {per_sec}, {elapsed}, {msg}"),
+            };
+            bar.with_style(ProgressStyle::with_template(template).expect("the template is valid"))
         });
         Self { bar, first_idx, n_frames, n_tracked: 0, last_line: Instant::now() }
     }
@@ -72,10 +76,8 @@ impl Progress {
             }
             None if self.last_line.elapsed() >= LINE_INTERVAL => {
                 self.last_line = Instant::now();
-                eprintln!(
-                    "{n_answered} of {} frames, {} with a pose, now {state}",
-                    self.n_frames, self.n_tracked
-                );
+                let of = self.n_frames.map_or_else(String::new, |n| format!(" of {n}"));
+                eprintln!("{n_answered}{of} frames, {} with a pose, now {state}", self.n_tracked);
             }
             None => {}
         }
