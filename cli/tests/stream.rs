@@ -1,79 +1,17 @@
-//! The command `monoslam stream` on videos and pipes, against a real server, with the installed `ffmpeg`.
+//! The command `monoslam stream` on videos, pipes and bags, against a real server, with the installed
+//! `ffmpeg`.
+
+mod stage;
 
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Output, Stdio};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use client::HttpClient;
-use server::{Config, Running, Server, Shutdown};
-use synthetic::{Preset, Sequence, SequenceConfig};
-use tempfile::TempDir;
-use tokio::process::Command;
+use stage::{Stage, refusal, summary, text};
 
 /// Rendered frames of a room: enough for a map.
 const N_FRAMES: usize = 60;
-
-/// A server and a folder with `images/`, `calib.json` and `rgb.txt` of a rendered room.
-struct Stage {
-    running: Running,
-    folder: TempDir,
-}
-
-impl Stage {
-    async fn set(n_frames: usize) -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let mut config = SequenceConfig::preset(Preset::RoomRich, 1);
-        config.n_frames = Some(n_frames);
-        Sequence::new(config).unwrap().write_dataset(folder.path().join("room")).unwrap();
-        fs::create_dir(folder.path().join("data")).unwrap();
-        let running = Server::start(Config::local(folder.path().join("data"))).await.unwrap();
-        Self { running, folder }
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-
-    /// Makes a file by `ffmpeg`.
-    async fn make(&self, name: &str, arguments: &[&str]) -> PathBuf {
-        let path = self.path(name);
-        let images = self.path("room/images/%06d.png");
-        let mut command = Command::new("ffmpeg");
-        command.args(["-v", "error", "-y", "-framerate", "30", "-i"]).arg(images).args(arguments).arg(&path);
-        assert!(command.status().await.expect("ffmpeg runs").success(), "{arguments:?}");
-        path
-    }
-
-    /// `monoslam stream SOURCE …` into this server.
-    fn stream(&self, source: &str, session: &str, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_monoslam"));
-        command.args(["stream", source, "--session", session, "--json", "--server"]);
-        command.arg(format!("http://{}", self.running.grpc_addr)).args(arguments);
-        command.stdin(Stdio::null()).kill_on_drop(true);
-        command
-    }
-
-    async fn end(self) {
-        assert_eq!(self.running.shutdown().await, Shutdown::Complete);
-    }
-}
-
-fn summary(output: &Output) -> serde_json::Value {
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}");
-    let text = String::from_utf8_lossy(&output.stdout);
-    serde_json::from_str(text.lines().last().unwrap()).unwrap()
-}
-
-fn refusal(output: &Output) -> String {
-    assert!(!output.status.success());
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
@@ -128,6 +66,22 @@ async fn images_come_through_standard_input() {
         assert!(summary["tracked"].as_u64() > Some(5), "{summary}");
         assert!((summary["recorded_s"].as_f64().unwrap() - 20.0 / 30.0).abs() < 1e-6, "{summary}");
     }
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_bag_is_streamed_with_its_own_calibration() {
+    let stage = Stage::set(1).await;
+    let bags = Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings/tests/fixtures/bags");
+    let two_cameras = bags.join("two_cameras.bag");
+    let said = refusal(&stage.stream(text(&two_cameras), "bag", &[]).output().await.unwrap());
+    assert!(said.contains("choose one by --topic: /left/image_raw (3), /right/image_raw (3)"), "{said}");
+    // Images of 32x24 pixels are smaller than a server takes, so nothing but the way there is seen.
+    let right = ["--topic", "/right/image_raw"];
+    let said = refusal(&stage.stream(text(&two_cameras), "bag", &right).output().await.unwrap());
+    assert!(said.contains("width"), "{said}");
+    let said = refusal(&stage.stream("-", "bag", &right).output().await.unwrap());
+    assert!(said.contains("--topic is for MCAP files and bags"), "{said}");
     stage.end().await;
 }
 

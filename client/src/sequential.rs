@@ -77,6 +77,13 @@ impl Sequential {
         Ok(Self { reopen: Some(Box::new(open)), state, is_stopped: AtomicBool::new(false) })
     }
 
+    /// The same of so many frames, or fewer: what reads them finds the end.
+    #[must_use]
+    pub fn of_length(self, n_frames: usize) -> Self {
+        self.state().n_frames = Some(n_frames);
+        self
+    }
+
     /// What passes once: a camera, or a pipe.
     pub fn live(reader: Box<dyn FrameReader>) -> Self {
         Self { reopen: None, state: Mutex::new(State::of(reader)), is_stopped: AtomicBool::new(false) }

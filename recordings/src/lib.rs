@@ -3,7 +3,7 @@
 //! * [`Recording`]: a folder of images with their times, calibration and ground truth, in the [`Layout`]s in
 //!   use; [`find_folder`] also looks where `MONOSLAM_DATA` says that recordings are kept.
 //! * [`FrameReader`]: images one after the other, from videos and cameras ([`Ffmpeg`]) and from pipes
-//!   ([`read_pipe`]).
+//!   ([`read_pipe`]), MCAP files and bags ([`Bag`]).
 //! * [`Trajectory`]: stamped camera poses, read from and written to the usual text files.
 //! * [`evaluate`]: absolute and relative errors after alignment, the figures of `evo_ape` and `evo_rpe`.
 //!
@@ -18,6 +18,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod bag;
 mod data;
 mod dataset;
 mod evaluation;
@@ -27,6 +28,7 @@ mod time;
 mod trajectory;
 mod video;
 
+pub use bag::{Bag, BagReader};
 pub use data::{DATA_VARIABLE, find_folder};
 pub use dataset::{FrameFile, Layout, Playback, Recording, read_calibration};
 pub use evaluation::{Alignment, Evaluation, EvaluationError, EvaluationOptions, Match, associate, evaluate};

@@ -8,7 +8,7 @@ use clap::Args;
 use client::{FrameSource, Sequential};
 use geometry::{CameraModel, CameraParameters};
 use recordings::{
-    Ffmpeg, FrameImage, FrameReader, FrameTimes, GrayReader, Layout, Recording, VideoInput, find_folder,
+    Bag, Ffmpeg, FrameImage, FrameReader, FrameTimes, GrayReader, Layout, Recording, VideoInput, find_folder,
     read_calibration, read_pipe,
 };
 
@@ -25,8 +25,9 @@ const CALIBRATION: &str = "calib.json";
 /// What to stream.
 #[derive(Debug, Args)]
 pub struct InputArgs {
-    /// A recording's folder, also looked for in the folder that MONOSLAM_DATA names; a video; a camera such
-    /// as /dev/video0, or its address; or - for JPEG images, a video, or gray pixels on standard input
+    /// A recording's folder, also looked for in the folder that MONOSLAM_DATA names; an MCAP file or ROS 1
+    /// bag; a video; a camera such as /dev/video0, or its address; or - for JPEG images, a video, or gray
+    /// pixels on standard input
     #[arg(value_name = "SOURCE", required_unless_present = "camera")]
     source: Option<PathBuf>,
     /// Calibration of the camera, a file like calib.json, or `unknown` [default: what the recording brings,
@@ -42,6 +43,9 @@ pub struct InputArgs {
     /// Standard input is gray pixels, a byte each, in images of this size
     #[arg(long, value_name = "WxH", value_parser = image_size)]
     raw: Option<(u32, u32)>,
+    /// Topic of the images in an MCAP file or bag [default: the only one]
+    #[arg(long, value_name = "TOPIC")]
+    topic: Option<String>,
     /// Layout of a recording's folder: folder, euroc, kitti, tum or icl [default: recognized]
     #[arg(long, value_name = "L")]
     layout: Option<Layout>,
@@ -100,10 +104,22 @@ pub fn open(args: &InputArgs, fps: Option<f64>) -> Result<Input> {
         );
         return open_folder(path, args.layout);
     }
-    let sequential = Arc::new(open_sequential(path, args, fps)?);
     let name = name(path);
+    let is_bag = Bag::is_bag(path);
+    ensure!(args.topic.is_none() || is_bag, "--topic is for MCAP files and bags, and {name} is none");
+    let bag = if is_bag { Some(Bag::open(path, args.topic.as_deref())?) } else { None };
+    let recorded = match &bag {
+        Some(bag) if calibration.is_none() && args.fov.is_none() => bag.camera()?,
+        _ => None,
+    };
+    let recorded = recorded.map(|camera| camera.parameters().clone());
+    let sequential = Arc::new(match bag {
+        Some(bag) => open_bag(bag)?,
+        None => open_sequential(path, args, fps)?,
+    });
     let size = first_size(&sequential, &name)?;
-    let camera = camera(path, &name, calibration, args.fov, size)?;
+    let given = Given { file: calibration.map(PathBuf::as_path), fov_deg: args.fov, recorded };
+    let camera = given.camera(path, &name, size)?;
     Ok(Input { name, source: sequential.clone(), camera, sequential: Some(sequential) })
 }
 
@@ -118,6 +134,12 @@ fn open_folder(path: &Path, layout: Option<Layout>) -> Result<Input> {
     let camera = recording.camera.parameters().clone();
     let name = recording.name.clone();
     Ok(Input { name, source: Arc::new(recording), camera, sequential: None })
+}
+
+fn open_bag(bag: Bag) -> Result<Sequential> {
+    let n_images = bag.n_images();
+    let open = move || Ok(Box::new(bag.frames()?) as Box<dyn FrameReader>);
+    Ok(Sequential::new(open)?.of_length(n_images))
 }
 
 fn open_sequential(path: &Path, args: &InputArgs, fps: Option<f64>) -> Result<Sequential> {
@@ -176,49 +198,58 @@ fn first_size(source: &Sequential, name: &str) -> Result<(u32, u32)> {
     size.with_context(|| format!("{name}: its first image is neither PNG nor JPEG"))
 }
 
-/// The calibration that was given, that lies beside the source, or that a field of view makes.
-fn camera(
-    path: &Path,
-    name: &str,
-    calibration: Option<&PathBuf>,
+/// What is known of the camera.
+struct Given<'a> {
+    /// The file, or the word `unknown`.
+    file: Option<&'a Path>,
+    /// A field of view.
     fov_deg: Option<f64>,
-    (width, height): (u32, u32),
-) -> Result<CameraParameters> {
-    let is_unknown = calibration.is_some_and(|file| file == Path::new(UNKNOWN));
-    let beside = path.parent().map(|folder| folder.join(CALIBRATION)).filter(|file| file.is_file());
-    let file = match (calibration, fov_deg) {
-        (Some(file), _) if !is_unknown => Some(file.clone()),
-        (None, None) => Some(beside.with_context(|| {
-            format!(
-                "the camera of {name} is not known: give its calibration with --camera FILE (as calib.json), or \
-                 --fov DEG for a guess from its field of view"
-            )
-        })?),
-        _ => None,
-    };
-    let Some(file) = file else {
-        let fov_deg = fov_deg.unwrap_or(ASSUMED_FOV_DEG);
-        eprintln!(
-            "the calibration of {name} is taken from a field of view of {fov_deg} degrees, without distortion: \
-             shapes come out wrong as far as that is"
-        );
-        return Ok(from_field_of_view(fov_deg, width, height));
-    };
-    let camera = read_calibration(&file)?.parameters().clone();
-    if (camera.width, camera.height) != (width, height) {
+    /// What was recorded with the images.
+    recorded: Option<CameraParameters>,
+}
+
+impl Given<'_> {
+    /// The calibration that was given, else that a field of view makes, else that was recorded or lies beside
+    /// the source. It must be for images of this size.
+    fn camera(self, path: &Path, name: &str, (width, height): (u32, u32)) -> Result<CameraParameters> {
+        let is_unknown = self.file == Some(Path::new(UNKNOWN));
+        let beside = || path.parent().map(|folder| folder.join(CALIBRATION)).filter(|file| file.is_file());
+        let (camera, origin) = match (self.file.filter(|_| !is_unknown), self.fov_deg, self.recorded) {
+            (Some(file), ..) => from_file(file)?,
+            (None, None, Some(recorded)) if !is_unknown => (recorded, "its calibration".to_owned()),
+            (None, None, _) if !is_unknown => from_file(&beside().with_context(|| {
+                format!(
+                    "the camera of {name} is not known: give its calibration with --camera FILE (as calib.json), \
+                     or --fov DEG for a guess from its field of view"
+                )
+            })?)?,
+            (None, fov_deg, _) => {
+                let fov_deg = fov_deg.unwrap_or(ASSUMED_FOV_DEG);
+                eprintln!(
+                    "the calibration of {name} is taken from a field of view of {fov_deg} degrees, without \
+                     distortion: shapes come out wrong as far as that is"
+                );
+                return Ok(from_field_of_view(fov_deg, width, height));
+            }
+        };
+        if (camera.width, camera.height) == (width, height) {
+            return Ok(camera);
+        }
         let hint = if (camera.height, camera.width) == (width, height) {
             "; its images are turned as its rotation tag says, the calibration must be for these"
         } else {
             ""
         };
         bail!(
-            "{name} has images of {width}x{height} pixels, but {} is for {}x{}{hint}",
-            file.display(),
+            "{name} has images of {width}x{height} pixels, but {origin} is for {}x{}{hint}",
             camera.width,
             camera.height
         );
     }
-    Ok(camera)
+}
+
+fn from_file(file: &Path) -> Result<(CameraParameters, String)> {
+    Ok((read_calibration(file)?.parameters().clone(), file.display().to_string()))
 }
 
 fn from_field_of_view(fov_deg: f64, width: u32, height: u32) -> CameraParameters {
@@ -264,10 +295,13 @@ mod tests {
     fn a_calibration_is_given_or_lies_beside() {
         let folder = tempfile::tempdir().unwrap();
         let video = folder.path().join("a.mp4");
-        let camera_of = |given: Option<&PathBuf>, fov| camera(&video, "a.mp4", given, fov, (64, 48));
+        let camera_of = |file: Option<&str>, fov_deg| {
+            let given = Given { file: file.map(Path::new), fov_deg, recorded: None };
+            given.camera(&video, "a.mp4", (64, 48))
+        };
         let refused = camera_of(None, None).unwrap_err().to_string();
         assert!(refused.contains("is not known") && refused.contains("--fov"), "{refused}");
-        assert!(camera_of(Some(&PathBuf::from(UNKNOWN)), None).is_ok());
+        assert!(camera_of(Some(UNKNOWN), None).is_ok());
         let calibration = |width: u32, height: u32| {
             let text = format!(
                 r#"{{"width": {width}, "height": {height}, "fx": 60, "fy": 60, "cx": 31, "cy": 23, "dist": []}}"#
@@ -278,6 +312,9 @@ mod tests {
         assert_eq!(camera_of(None, None).unwrap().fx, 60.0);
         // A field of view that is asked for goes before a file that is not.
         assert!(camera_of(None, Some(90.0)).unwrap().fx < 33.0);
+        let recorded = Some(from_field_of_view(60.0, 64, 48));
+        let given = Given { file: None, fov_deg: None, recorded: recorded.clone() };
+        assert_eq!(Some(given.camera(&video, "a.mp4", (64, 48)).unwrap()), recorded);
         calibration(48, 64);
         let refused = camera_of(None, None).unwrap_err().to_string();
         assert!(refused.contains("64x48") && refused.contains("rotation tag"), "{refused}");
