@@ -3,7 +3,7 @@
 //! * [`SlamClient`]: sessions, localization, events and open streams, by gRPC.
 //! * [`stream_frames`]: streams a [`FrameSource`], such as a [`Recording`], until every frame is answered and
 //!   saved. A connection that breaks is made again; each frame is mapped exactly once.
-//! * [`HttpClient`]: trajectories in every format.
+//! * [`HttpClient`]: trajectories and maps in every format, images of keyframes.
 //!
 //! A recording, streamed into a session of its own; `SERVER` is where the service is, such as
 //! `http://127.0.0.1:50051`:
@@ -56,7 +56,7 @@ mod tally;
 pub use convert::camera_message;
 pub use error::ClientError;
 pub use grpc::{Answers, Events, FrameSender, FrameStream, HTTP_PORT_HEADER, SlamClient};
-pub use http::{HttpClient, TrajectoryFormat, TrajectoryKind};
+pub use http::{HttpClient, ImageFile, MapFormat, TrajectoryFormat, TrajectoryKind};
 pub use pacing::Pacing;
 pub use placement::{Placement, SessionEnd};
 #[doc(no_inline)]

@@ -1,4 +1,5 @@
-//! What the user sees while frames are streamed.
+//! What the user sees of work that takes its time: frames that are streamed, files that come, steps. A bar on
+//! a terminal, on standard error; elsewhere a line now and then of a stream, and nothing of the rest.
 
 use std::io::{IsTerminal, stderr};
 use std::time::{Duration, Instant};
@@ -29,7 +30,7 @@ impl Progress {
                 }
                 None => (ProgressBar::no_length(), "{spinner} {pos} frames, {per_sec}, {elapsed}, {msg}"),
             };
-            bar.with_style(ProgressStyle::with_template(template).expect("the template is valid"))
+            bar.with_style(style(template))
         });
         Self { bar, first_idx, n_frames, n_tracked: 0, last_line: Instant::now() }
     }
@@ -89,4 +90,67 @@ impl Progress {
             None => eprintln!("{line}"),
         }
     }
+}
+
+/// Bytes of a file that comes.
+pub struct ByteBar {
+    bar: ProgressBar,
+}
+
+impl ByteBar {
+    /// Of a file.
+    pub fn new(name: &str) -> Self {
+        let bar = if stderr().is_terminal() { ProgressBar::no_length() } else { ProgressBar::hidden() };
+        bar.set_style(style("{spinner} {msg}: {bytes}, {bytes_per_sec}"));
+        bar.set_message(name.to_owned());
+        Self { bar }
+    }
+
+    /// So many bytes are there, of so many.
+    pub fn show(&mut self, n_bytes: u64, of: Option<u64>) {
+        if let Some(of) = of
+            && self.bar.length() != Some(of)
+        {
+            self.bar.set_length(of);
+            self.bar.set_style(style("{bar:40} {msg}: {bytes} of {total_bytes}, {eta} left"));
+        }
+        self.bar.set_position(n_bytes);
+    }
+}
+
+impl Drop for ByteBar {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+/// Steps of the same kind.
+pub struct StepBar {
+    bar: ProgressBar,
+}
+
+impl StepBar {
+    /// So many of them.
+    pub fn new(what: &str, n_steps: usize) -> Self {
+        let bar = ProgressBar::new(n_steps as u64);
+        let bar = if stderr().is_terminal() { bar } else { ProgressBar::hidden() };
+        bar.set_style(style("{bar:40} {pos}/{len} {msg}, {eta} left"));
+        bar.set_message(what.to_owned());
+        Self { bar }
+    }
+
+    /// One more is done.
+    pub fn advance(&self) {
+        self.bar.inc(1);
+    }
+}
+
+impl Drop for StepBar {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+fn style(template: &str) -> ProgressStyle {
+    ProgressStyle::with_template(template).expect("the template is valid")
 }

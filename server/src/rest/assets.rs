@@ -23,6 +23,12 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 /// ever.
 const FOR_EVER: &str = "public, max-age=31536000, immutable";
 
+/// The text of the viewer's file with such an extension, `.js` or `.css`: it has one of each.
+pub fn viewer_file(extension: &str) -> Option<&'static str> {
+    let mut files = FILES.get_dir("assets")?.files();
+    files.find(|file| file.path().to_string_lossy().ends_with(extension))?.contents_utf8()
+}
+
 /// The page.
 pub(super) async fn page(headers: HeaderMap) -> Response {
     answer("index.html", "no-cache", &headers)
