@@ -11,7 +11,8 @@ use recordings::{StampedPose, Trajectory};
 use synthetic::{Preset, Sequence, SequenceConfig};
 
 use super::local::{LocalRun, LocalServer};
-use super::report;
+use super::report::Known;
+use super::summary;
 
 /// What to show.
 #[derive(Debug, Args)]
@@ -28,6 +29,9 @@ pub struct DemoArgs {
     /// Draw map and trajectories, seen from above, into an SVG file
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
+    /// Write everything about the session on one page that needs no server
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
 }
 
 /// A sequence whose frames are rendered when they are sent.
@@ -77,7 +81,7 @@ pub async fn run(args: DemoArgs) -> Result<()> {
         is_realtime: false,
     };
     let outcome = server.run(run).await?;
-    println!("\n{}", report::summary(&outcome.summary).trim_end());
+    println!("\n{}", summary::table(&outcome.summary).trim_end());
     println!("{:<26} {:.1} % of the frames have a pose", "trajectory", 100.0 * outcome.coverage);
     let evaluation =
         outcome.evaluation.context("the trajectory is too short to be compared with the truth")?;
@@ -88,6 +92,11 @@ pub async fn run(args: DemoArgs) -> Result<()> {
         evaluation.path,
         evaluation.ate_percent_of_path.unwrap_or_default()
     );
+    if let Some(path) = &args.report {
+        let known = Known { truth: Some(truth.clone()), summary: Some(outcome.summary.clone()) };
+        server.report(known).await?.write(path)?;
+        println!("{:<26} {}", "report", path.display());
+    }
     if let Some(path) = &args.picture {
         let title = format!(
             "A rendered room and the path of the camera through it, seen from above ({})",

@@ -15,7 +15,7 @@ use input::{Input, InputArgs};
 use proto::v1;
 
 use super::progress::Progress;
-use super::{ServerArgs, positive, report, session_id};
+use super::{ServerArgs, positive, session_id, summary};
 
 /// What to stream, where to, and how.
 #[derive(Debug, Args)]
@@ -127,16 +127,16 @@ pub async fn run(args: StreamArgs) -> Result<()> {
     let range = remaining(&session, placement, range);
     let plan = plan(&args, &session, source.as_ref(), range, placement);
     input.stop_on_interrupt();
-    let summary = stream_with_progress(&mut client, &source, &plan).await?;
+    let streamed = stream_with_progress(&mut client, &source, &plan).await?;
     if let Some(remark) = input.remark() {
         eprintln!("{remark}");
     }
     if args.json {
-        println!("{}", serde_json::to_string(&summary)?);
+        println!("{}", serde_json::to_string(&streamed)?);
     } else {
-        print!("{}", report::summary(&summary));
+        print!("{}", summary::table(&streamed));
     }
-    ensure!(summary.rejected == 0, "{} of {} frames were rejected", summary.rejected, summary.frames);
+    ensure!(streamed.rejected == 0, "{} of {} frames were rejected", streamed.rejected, streamed.frames);
     Ok(())
 }
 
