@@ -121,8 +121,8 @@ async fn what_is_wrong_is_said_in_a_sentence() {
 #[cfg(target_os = "linux")]
 async fn a_killed_command_leaves_no_ffmpeg_behind() {
     let stage = Stage::set(2).await;
-    let loops = ["-vf", "loop=loop=-1:size=2", "-t", "60"];
-    let video = stage.make("sixty-seconds-of-nothing.mp4", &loops).await;
+    let loops = ["-vf", "loop=loop=-1:size=2", "-t", "20", "-preset", "ultrafast"];
+    let video = stage.make("twenty-seconds-of-nothing.mp4", &loops).await;
     let calibration = stage.path("room/calib.json");
     let slowly = ["--camera", text(&calibration), "--fps", "2"];
     let mut streaming = stage.stream(text(&video), "killed", &slowly).spawn().unwrap();
@@ -130,7 +130,8 @@ async fn a_killed_command_leaves_no_ffmpeg_behind() {
     let is_reading = || {
         fs::read_dir("/proc").unwrap().flatten().any(|process| {
             let line = fs::read(process.path().join("cmdline")).unwrap_or_default();
-            line.starts_with(b"ffmpeg") && String::from_utf8_lossy(&line).contains("sixty-seconds-of-nothing")
+            line.starts_with(b"ffmpeg")
+                && String::from_utf8_lossy(&line).contains("twenty-seconds-of-nothing")
         })
     };
     while !is_reading() {

@@ -109,7 +109,7 @@ impl Scene {
         let truth: Vec<Pose> = self.truth.iter().flat_map(poses).collect();
         let view = TopView::of(if truth.is_empty() { &aligned.estimate } else { &truth }, &aligned.lines)
             .context("there is no pose to draw")?;
-        let view = if direction == Direction::Side { view.from_the_side() } else { view };
+        let view = if direction == Direction::Side { view.seen_from_the_side() } else { view };
         let path = |poses: &[Pose]| -> Vec<[f64; 2]> {
             poses.iter().map(|pose| view.seen(&pose.translation)).collect()
         };
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scaled_circle_is_not_off_and_is_flat_from_the_side() {
+    fn a_scaled_circle_is_not_off_and_is_flat_seen_from_the_side() {
         let errors = scene().position_errors().unwrap();
         assert!(errors.len() == 60 && errors.iter().all(|error| error[1] < 1e-9));
         assert!((errors[59][0] - 5.9).abs() < 1e-9);

@@ -124,7 +124,9 @@ impl Gathered {
     pub fn primitives(&self) -> Vec<(u64, [f64; 3], usize, usize)> {
         let mut n_lines: BTreeMap<u64, usize> = BTreeMap::new();
         for [primitive] in self.rows("lines", ["primitive_ids"]) {
-            primitive.as_u64().map(|id| *n_lines.entry(id).or_default() += 1);
+            if let Some(id) = primitive.as_u64() {
+                *n_lines.entry(id).or_default() += 1;
+            }
         }
         let primitive = |[id, direction, keyframes]: [&Value; 3]| {
             let id = id.as_u64()?;
