@@ -42,6 +42,26 @@ tools() {
   rustc --version
 }
 
+# installed PROGRAM: whether it is there, after an attempt to install the package of its name.
+installed() {
+  command -v "$1" >/dev/null && return
+  if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+    (apt-get update -qq && DEBIAN_FRONTEND=noninteractive timeout 300 apt-get install -y -qq "$1") >/dev/null 2>&1 || true
+  fi
+  command -v "$1" >/dev/null
+}
+
+# python_packages: whether there is a Python with the packages of the tests, after an attempt to make one.
+python_packages() {
+  [ -z "${MONOSLAM_PYTHON:-}" ] || return 0
+  local folder=target/python
+  if ! "$folder/bin/python" -c "import mcap, plyfile, pycolmap" 2>/dev/null; then
+    python3 -m venv "$folder" && "$folder/bin/pip" install --quiet -r cli/tests/requirements.txt || return 1
+  fi
+  MONOSLAM_PYTHON=$PWD/$folder/bin/python
+  export MONOSLAM_PYTHON
+}
+
 # Recordings to test with: not in the repository. Tests that need them are ignored where they are absent.
 if [ -z "${MONOSLAM_DATA:-}" ] && [ -d ../shared/data ]; then
   MONOSLAM_DATA=$(cd ../shared/data && pwd)

@@ -34,17 +34,19 @@ function sourcesHash(): Plugin {
 /** The server that `npm run dev` takes sessions from. */
 const proxy = { '/v1': { target: process.env['VIEWER_HTTP'] ?? 'http://127.0.0.1:8080', ws: true } };
 
-export default defineConfig({
+/** Each page is built by itself and shares no file with the other: a report carries the viewer as one script. */
+export default defineConfig(({ mode }) => ({
   base: '/',
   build: {
+    emptyOutDir: mode !== 'capture',
     target: 'es2022',
     modulePreload: { polyfill: false },
     // Nothing inside the page's text: its content security policy forbids that.
     assetsInlineLimit: 0,
     chunkSizeWarningLimit: 1000,
-    rolldownOptions: { input: ['index.html', 'capture.html'] },
+    rolldownOptions: { input: mode === 'capture' ? 'capture.html' : 'index.html' },
   },
   server: { proxy },
   preview: { proxy },
   plugins: [sourcesHash()],
-});
+}));

@@ -6,7 +6,8 @@ use std::str::FromStr;
 
 use bytes::Bytes;
 use http_body_util::{BodyExt, Empty, Limited};
-use hyper::body::Incoming;
+use hyper::Response;
+use hyper::body::{Body, Incoming};
 use hyper_util::client::legacy::Client;
 use hyper_util::client::legacy::connect::HttpConnector;
 use hyper_util::rt::TokioExecutor;
@@ -19,6 +20,12 @@ use crate::error::{ClientError, causes};
 
 /// The longest body of an error that is read, bytes: a problem is a few hundred.
 const MAX_PROBLEM_BYTES: usize = 64 << 10;
+
+/// The largest image that is read, bytes: more than a server takes by default.
+const MAX_IMAGE_BYTES: usize = 128 << 20;
+
+/// The longest answer that is held in memory, bytes: the graph of a large map has some megabytes.
+const MAX_JSON_BYTES: usize = 256 << 20;
 
 /// What must be escaped in a segment of a path [RFC 3986, section 2.3].
 const NOT_UNRESERVED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
@@ -59,6 +66,49 @@ pub enum TrajectoryKind {
 
 impl TrajectoryKind {
     const ALL: [(Self, &str); 2] = [(Self::Frames, "frames"), (Self::Keyframes, "keyframes")];
+}
+
+/// How a map is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MapFormat {
+    /// Polygon file: points as vertices, lines as edges between two vertices each.
+    Ply,
+    /// One object with keyframes, points, lines and primitives.
+    Json,
+    /// `cameras.txt` of COLMAP's text model.
+    ColmapCameras,
+    /// `images.txt` of COLMAP's text model.
+    ColmapImages,
+    /// `points3D.txt` of COLMAP's text model.
+    ColmapPoints,
+    /// `transforms.json` of nerfstudio.
+    Transforms,
+    /// MCAP with Foxglove's schemas.
+    Mcap,
+}
+
+impl MapFormat {
+    /// As in the interface's query.
+    fn query(self) -> &'static str {
+        match self {
+            Self::Ply => "format=ply",
+            Self::Json => "format=json",
+            Self::ColmapCameras => "format=colmap&part=cameras",
+            Self::ColmapImages => "format=colmap&part=images",
+            Self::ColmapPoints => "format=colmap&part=points3D",
+            Self::Transforms => "format=transforms",
+            Self::Mcap => "format=mcap",
+        }
+    }
+}
+
+/// An image as a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ImageFile {
+    /// What it is, such as `image/jpeg`.
+    pub media_type: String,
+    /// The file.
+    pub bytes: Bytes,
 }
 
 /// Names as in the interface's queries and on the command line.
@@ -120,11 +170,88 @@ impl HttpClient {
     ) -> Result<(), ClientError> {
         let session_id = utf8_percent_encode(session_id, NOT_UNRESERVED);
         let path = format!("/v1/sessions/{session_id}/trajectory?format={format}&kind={kind}");
-        let mut body = self.get(&path).await?;
+        self.write_body(self.get(&path).await?, out, |_, _| {}).await
+    }
+
+    /// Writes a session's map to `out` as it comes: of one submap, or if none is given of the largest (in
+    /// JSON of all). `observe` is told how many bytes there are so far, and how many there will be.
+    ///
+    /// # Errors
+    /// If the server cannot be asked or refuses, or `out` fails.
+    pub async fn write_map(
+        &self,
+        session_id: &str,
+        format: MapFormat,
+        submap_id: Option<u32>,
+        out: &mut impl Write,
+        observe: impl FnMut(u64, Option<u64>),
+    ) -> Result<(), ClientError> {
+        let session_id = utf8_percent_encode(session_id, NOT_UNRESERVED);
+        let mut path = format!("/v1/sessions/{session_id}/map?{}", format.query());
+        if let Some(submap_id) = submap_id {
+            path.push_str(&format!("&submap_id={submap_id}"));
+        }
+        self.write_body(self.get(&path).await?, out, observe).await
+    }
+
+    /// What the interface says below a session's path, such as `keyframes/3` or `graph?kind=primitives`; of
+    /// the session itself with nothing. The interface describes itself at `/openapi.json`.
+    ///
+    /// # Errors
+    /// If the server cannot be asked or refuses, or its answer is no JSON.
+    pub async fn session_json(
+        &self,
+        session_id: &str,
+        below: &str,
+    ) -> Result<serde_json::Value, ClientError> {
+        let session_id = utf8_percent_encode(session_id, NOT_UNRESERVED);
+        let separator = if below.is_empty() { "" } else { "/" };
+        let response = self.get(&format!("/v1/sessions/{session_id}{separator}{below}")).await?;
+        let body = Limited::new(response.into_body(), MAX_JSON_BYTES).collect().await;
+        let bytes = body.map_err(|error| self.unreachable(error.as_ref()))?.to_bytes();
+        serde_json::from_slice(&bytes).map_err(|error| ClientError::protocol(error.to_string()))
+    }
+
+    /// Writes everything that a viewer shows of a session, a JSON object a line, to `out`.
+    ///
+    /// # Errors
+    /// If the server cannot be asked or refuses, or `out` fails.
+    pub async fn write_scene(&self, session_id: &str, out: &mut impl Write) -> Result<(), ClientError> {
+        let session_id = utf8_percent_encode(session_id, NOT_UNRESERVED);
+        let path = format!("/v1/sessions/{session_id}/scene");
+        self.write_body(self.get(&path).await?, out, |_, _| {}).await
+    }
+
+    /// The image of a keyframe, as it was sent; pixels sent raw come as PNG.
+    ///
+    /// # Errors
+    /// If the server cannot be asked, the image is larger than a server takes one, or it was not kept.
+    pub async fn keyframe_image(&self, session_id: &str, keyframe_id: u64) -> Result<ImageFile, ClientError> {
+        let session_id = utf8_percent_encode(session_id, NOT_UNRESERVED);
+        let path = format!("/v1/sessions/{session_id}/keyframes/{keyframe_id}/image");
+        let response = self.get(&path).await?;
+        let media_type = response.headers().get("content-type").and_then(|value| value.to_str().ok());
+        let media_type = media_type.unwrap_or_default().to_owned();
+        let body = Limited::new(response.into_body(), MAX_IMAGE_BYTES).collect().await;
+        let bytes = body.map_err(|error| self.unreachable(error.as_ref()))?.to_bytes();
+        Ok(ImageFile { media_type, bytes })
+    }
+
+    async fn write_body(
+        &self,
+        response: Response<Incoming>,
+        out: &mut impl Write,
+        mut observe: impl FnMut(u64, Option<u64>),
+    ) -> Result<(), ClientError> {
+        let mut body = response.into_body();
+        let n_bytes = body.size_hint().exact();
+        let mut n_written = 0;
         while let Some(frame) = body.frame().await {
             let frame = frame.map_err(|error| self.unreachable(&error))?;
             if let Some(bytes) = frame.data_ref() {
                 out.write_all(bytes)?;
+                n_written += bytes.len() as u64;
+                observe(n_written, n_bytes);
             }
         }
         Ok(out.flush()?)
@@ -141,15 +268,15 @@ impl HttpClient {
             .map_err(|error| ClientError::protocol(error.to_string()))
     }
 
-    /// The body of a successful answer.
-    async fn get(&self, path: &str) -> Result<Incoming, ClientError> {
+    /// A successful answer.
+    async fn get(&self, path: &str) -> Result<Response<Incoming>, ClientError> {
         let uri: Uri = format!("{}{path}", self.address).parse().map_err(|_| ClientError::Address {
             address: self.address.clone(),
             reason: "http://HOST:PORT expected".to_owned(),
         })?;
         let response = self.http.get(uri).await.map_err(|error| self.unreachable(&error))?;
         if response.status().is_success() {
-            Ok(response.into_body())
+            Ok(response)
         } else {
             Err(refusal(response.status(), response.into_body()).await)
         }

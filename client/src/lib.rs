@@ -3,9 +3,12 @@
 //! * [`SlamClient`]: sessions, localization, events and open streams, by gRPC.
 //! * [`stream_frames`]: streams a [`FrameSource`], such as a [`Recording`], until every frame is answered and
 //!   saved. A connection that breaks is made again; each frame is mapped exactly once.
-//! * [`HttpClient`]: trajectories in every format.
+//! * [`Sequential`]: a source of what is read in turn, such as a video ([`Ffmpeg`]), a robot's recording
+//!   ([`Bag`]) or a camera of your own ([`FrameReader`]).
+//! * [`HttpClient`]: trajectories and maps in every format, images of keyframes.
 //!
-//! A recording, streamed into a session of its own; `SERVER` is where the service is, such as `http://127.0.0.1:50051`:
+//! A recording, streamed into a session of its own; `SERVER` is where the service is, such as
+//! `http://127.0.0.1:50051`:
 //!
 //! ```
 //! use client::{FrameSource, HttpClient, Recording, SlamClient, StreamPlan, stream_frames, v1};
@@ -46,20 +49,28 @@ mod grpc;
 mod http;
 mod pacing;
 mod placement;
+mod sequential;
 mod source;
 mod streaming;
 mod summary;
+mod tally;
 
 pub use convert::camera_message;
 pub use error::ClientError;
+#[doc(no_inline)]
+pub use geometry::{CameraModel, CameraParameters};
 pub use grpc::{Answers, Events, FrameSender, FrameStream, HTTP_PORT_HEADER, SlamClient};
-pub use http::{HttpClient, TrajectoryFormat, TrajectoryKind};
+pub use http::{HttpClient, ImageFile, MapFormat, TrajectoryFormat, TrajectoryKind};
 pub use pacing::Pacing;
 pub use placement::{Placement, SessionEnd};
 #[doc(no_inline)]
 pub use proto::v1;
 #[doc(no_inline)]
-pub use recordings::{FileError, Layout, Recording, StampedPose, Trajectory};
-pub use source::{FrameError, FrameSource, ReadyFrame, read_ahead};
+pub use recordings::{
+    Bag, Ffmpeg, FileError, FrameImage, FrameReader, Layout, PixelFormat, RawImage, Recording, StampedPose,
+    TimedFrame, Trajectory, VideoInput,
+};
+pub use sequential::Sequential;
+pub use source::{FrameError, FrameSource, ReadyFrame, SourceFrame, read_ahead};
 pub use streaming::{StreamEvent, StreamPlan, stream_frames};
 pub use summary::{CameraFinding, Distribution, FrameAnswer, StageSummary, StreamSummary};

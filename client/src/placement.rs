@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::source::FrameSource;
+use crate::source::{FrameError, FrameSource};
 
 /// Nanoseconds between the last frame of a session and the first of another recording that is put behind it,
 /// if their own times do not say; also given to each frame of the session whose time is not known. One
@@ -38,22 +38,27 @@ impl Placement {
     /// A session that holds a frame of this number at this time is of the same recording: frames keep
     /// their numbers, so that the session goes on where it ended. Otherwise, or if the recording is to be
     /// streamed `again`, frames are put behind those that are there, their times shifted if they would not
-    /// increase.
-    pub fn in_session(end: SessionEnd, source: &dyn FrameSource, range: &Range<usize>, again: bool) -> Self {
-        let is_same_recording = end.last_frame.is_none_or(|(sequence, timestamp_ns)| {
-            usize::try_from(sequence)
-                .is_ok_and(|i| i < source.len() && source.timestamp_ns(i) == timestamp_ns)
-        });
-        if end.next_sequence == 0 || (is_same_recording && !again) {
-            return Self::AS_RECORDED;
+    /// increase. What a camera takes now is always put behind.
+    ///
+    /// # Errors
+    /// If the times of the source cannot be read.
+    pub fn in_session(
+        end: SessionEnd,
+        source: &dyn FrameSource,
+        range: &Range<usize>,
+        again: bool,
+    ) -> Result<Self, FrameError> {
+        if end.next_sequence == 0 || (!again && is_same_recording(end, source)?) {
+            return Ok(Self::AS_RECORDED);
         }
-        let first_ns = if range.is_empty() { 0 } else { source.timestamp_ns(range.start) };
+        let first_ns = if range.is_empty() { None } else { source.timestamp_ns(range.start)? };
+        let first_ns = first_ns.unwrap_or_default();
         let earliest_ns = end.last_frame.map_or(first_ns, |(sequence, timestamp_ns)| {
             let n_gaps = i64::try_from(end.next_sequence.saturating_sub(sequence)).unwrap_or(i64::MAX);
             timestamp_ns.saturating_add(GAP_NS.saturating_mul(n_gaps))
         });
         let shift_ns = earliest_ns.saturating_sub(first_ns).max(0);
-        Self { first_idx: range.start, first_sequence: end.next_sequence, shift_ns }
+        Ok(Self { first_idx: range.start, first_sequence: end.next_sequence, shift_ns })
     }
 
     /// The sequence number of a frame of the source.
@@ -68,26 +73,33 @@ impl Placement {
     }
 }
 
+/// Whether a session holds the beginning of this recording, as far as its last frame tells.
+fn is_same_recording(end: SessionEnd, source: &dyn FrameSource) -> Result<bool, FrameError> {
+    if source.is_live() {
+        return Ok(false);
+    }
+    let Some((sequence, timestamp_ns)) = end.last_frame else { return Ok(true) };
+    let Ok(frame_idx) = usize::try_from(sequence) else { return Ok(false) };
+    Ok(source.timestamp_ns(frame_idx)? == Some(timestamp_ns))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::FrameError;
+    use crate::SourceFrame;
     use proto::v1;
 
     /// Frames at these times.
     struct Times(Vec<i64>);
 
     impl FrameSource for Times {
-        fn len(&self) -> usize {
-            self.0.len()
+        fn n_frames(&self) -> Option<usize> {
+            Some(self.0.len())
         }
 
-        fn timestamp_ns(&self, frame_idx: usize) -> i64 {
-            self.0[frame_idx]
-        }
-
-        fn image(&self, _: usize) -> Result<v1::Image, FrameError> {
-            Ok(v1::Image::default())
+        fn frame(&self, frame_idx: usize) -> Result<Option<SourceFrame>, FrameError> {
+            let frame = |time: &i64| SourceFrame { timestamp_ns: *time, image: v1::Image::default() };
+            Ok(self.0.get(frame_idx).map(frame))
         }
     }
 
@@ -98,7 +110,7 @@ mod tests {
     #[test]
     fn the_same_recording_keeps_its_numbers() {
         let source = Times(vec![10, 20, 30, 40]);
-        let place = |end| Placement::in_session(end, &source, &(0..4), false);
+        let place = |end| Placement::in_session(end, &source, &(0..4), false).unwrap();
         assert_eq!(place(end(0, None)), Placement::AS_RECORDED);
         assert_eq!(place(end(2, Some((1, 20)))), Placement::AS_RECORDED);
         assert_eq!(place(end(4, Some((3, 40)))), Placement::AS_RECORDED);
@@ -109,23 +121,23 @@ mod tests {
     #[test]
     fn another_recording_goes_behind_what_is_there() {
         let later = Times(vec![2 * GAP_NS, 3 * GAP_NS, 4 * GAP_NS]);
-        let placement = Placement::in_session(end(7, Some((6, 60))), &later, &(1..3), false);
+        let placement = Placement::in_session(end(7, Some((6, 60))), &later, &(1..3), false).unwrap();
         assert_eq!(placement, Placement { first_idx: 1, first_sequence: 7, shift_ns: 0 });
         assert_eq!((placement.sequence(1), placement.sequence(2)), (7, 8));
         assert_eq!((placement.frame_idx(8), placement.frame_idx(3)), (2, 1));
 
         let earlier = Times(vec![0, 10, 20]);
-        let placement = Placement::in_session(end(7, Some((6, 60))), &earlier, &(0..3), false);
+        let placement = Placement::in_session(end(7, Some((6, 60))), &earlier, &(0..3), false).unwrap();
         assert_eq!(placement.shift_ns, 60 + GAP_NS);
         // Two frames after the last known one may have been up to as many seconds later.
-        let placement = Placement::in_session(end(9, Some((6, 60))), &earlier, &(1..3), false);
+        let placement = Placement::in_session(end(9, Some((6, 60))), &earlier, &(1..3), false).unwrap();
         assert_eq!(placement.shift_ns, 50 + 3 * GAP_NS);
     }
 
     #[test]
     fn the_same_recording_again_goes_behind_itself() {
         let source = Times(vec![10, 20, 30]);
-        let placement = Placement::in_session(end(3, Some((2, 30))), &source, &(0..3), true);
+        let placement = Placement::in_session(end(3, Some((2, 30))), &source, &(0..3), true).unwrap();
         assert_eq!(placement, Placement { first_idx: 0, first_sequence: 3, shift_ns: 20 + GAP_NS });
     }
 }

@@ -12,8 +12,9 @@ use crate::error::ClientError;
 use crate::grpc::{Answers, FrameSender, SlamClient};
 use crate::pacing::Pacing;
 use crate::placement::Placement;
-use crate::source::{FrameSource, read_ahead};
+use crate::source::{FrameSource, ReadyFrame, read_ahead};
 use crate::summary::{FrameAnswer, StreamSummary};
+use crate::tally::Ledger;
 
 /// Attempts at a connection, without a frame being answered in between, before the stream is given up: with
 /// the waits below, about a minute, long enough for a server to start again and load a session.
@@ -31,6 +32,9 @@ const DURABLE_TIMEOUT: Duration = Duration::from_secs(60);
 /// How often it is asked.
 const DURABLE_POLL: Duration = Duration::from_millis(20);
 
+/// By how much an answer may be ahead of the one before: frames are answered in turn.
+const MAX_AHEAD: usize = 1024;
+
 /// What to stream and how.
 #[derive(Clone, Debug)]
 pub struct StreamPlan {
@@ -40,7 +44,7 @@ pub struct StreamPlan {
     pub policy: v1::StreamPolicy,
     /// How fast frames are sent.
     pub pacing: Pacing,
-    /// The frames of the source to stream.
+    /// The frames of the source to stream. The end may lie behind that of the source, which ends the stream.
     pub range: Range<usize>,
     /// Their places in the session.
     pub placement: Placement,
@@ -56,7 +60,7 @@ impl StreamPlan {
             session_id: session_id.into(),
             policy: v1::StreamPolicy::Lossless,
             pacing: Pacing::Unpaced,
-            range: 0..source.len(),
+            range: 0..source.n_frames().unwrap_or(usize::MAX),
             placement: Placement::AS_RECORDED,
             take_over: false,
         }
@@ -105,10 +109,10 @@ pub async fn stream_frames(
     mut observe: impl FnMut(StreamEvent<'_>),
 ) -> Result<StreamSummary, ClientError> {
     let started = Instant::now();
-    let mut progress = Progress { next_idx: plan.range.start, answers: vec![None; plan.range.len()] };
+    let mut progress = Progress::new(&plan.range);
     let mut n_reconnects = 0;
     let mut n_attempts = 0;
-    while progress.next_idx < plan.range.end {
+    while progress.next_idx < progress.end_idx {
         let next_before = progress.next_idx;
         let take_over = plan.take_over || n_reconnects > 0;
         let error = match stream_once(client, source, plan, take_over, &mut progress, &mut observe).await {
@@ -125,12 +129,12 @@ pub async fn stream_frames(
         n_reconnects += 1;
     }
     let elapsed_s = started.elapsed().as_secs_f64();
-    let session = wait_until_durable(client, plan, &progress).await?;
-    let mut summary = StreamSummary::of_answers(&progress.answers);
+    let session = wait_until_durable(client, plan, progress.last_result).await?;
+    let mut summary = progress.ledger.finish(progress.end_idx);
     summary.set_session(&session);
     summary.elapsed_s = elapsed_s;
     summary.frames_per_second = summary.frames as f64 / elapsed_s.max(1e-9);
-    summary.realtime_factor = duration_s(source.as_ref(), &plan.range) / elapsed_s.max(1e-9);
+    summary.realtime_factor = summary.recorded_s / elapsed_s.max(1e-9);
     summary.reconnects = n_reconnects;
     Ok(summary)
 }
@@ -139,13 +143,22 @@ pub async fn stream_frames(
 struct Progress {
     /// The first frame without an answer.
     next_idx: usize,
-    /// The latest answer to each frame of the range.
-    answers: Vec<Option<FrameAnswer>>,
+    /// The frame to stop before, as far as it is known.
+    end_idx: usize,
+    /// The answers.
+    ledger: Ledger,
+    /// The sequence number of the last frame that the server tracked or tried to.
+    last_result: Option<u64>,
 }
 
 impl Progress {
+    fn new(range: &Range<usize>) -> Self {
+        let ledger = Ledger::new(range.start);
+        Self { next_idx: range.start, end_idx: range.end, ledger, last_result: None }
+    }
+
     /// Notes an answer; `None` if it is to no frame of the plan.
-    fn note(&mut self, plan: &StreamPlan, received: Received) -> Option<(usize, &FrameAnswer)> {
+    fn note(&mut self, plan: &StreamPlan, received: Received) -> Option<(usize, FrameAnswer)> {
         let (sequence, answer) = match received {
             Received::Result(result) => (result.sequence, FrameAnswer::Result(Box::new(result))),
             Received::Dropped(dropped) => (dropped.sequence, FrameAnswer::Dropped),
@@ -156,23 +169,16 @@ impl Progress {
             Received::Opened(_) => return None,
         };
         let frame_idx = plan.placement.frame_idx(sequence);
-        if plan.placement.sequence(frame_idx) != sequence || !plan.range.contains(&frame_idx) {
+        let is_of_plan = plan.placement.sequence(frame_idx) == sequence && plan.range.contains(&frame_idx);
+        if !is_of_plan || frame_idx > self.next_idx.saturating_add(MAX_AHEAD) {
             return None;
         }
         self.next_idx = self.next_idx.max(frame_idx + 1);
-        let slot = &mut self.answers[frame_idx - plan.range.start];
-        // A repeat says less than the first answer did, so it only stands where that never arrived.
-        let is_repeat = matches!(&answer, FrameAnswer::Result(result) if result.repeated);
-        if slot.is_none() || !is_repeat {
-            *slot = Some(answer);
+        if matches!(answer, FrameAnswer::Result(_)) {
+            self.last_result = self.last_result.max(Some(sequence));
         }
-        slot.as_ref().map(|answer| (frame_idx, answer))
-    }
-
-    /// The sequence number of the last frame that the server tracked or tried to.
-    fn last_result(&self, plan: &StreamPlan) -> Option<u64> {
-        let last = self.answers.iter().rposition(|answer| matches!(answer, Some(FrameAnswer::Result(_))))?;
-        Some(plan.placement.sequence(plan.range.start + last))
+        self.ledger.note(frame_idx, answer.clone());
+        Some((frame_idx, answer))
     }
 }
 
@@ -193,13 +199,17 @@ async fn stream_once(
     };
     let stream = client.open_stream(open).await?;
     let wanted_idx = plan.placement.frame_idx(stream.session.next_sequence);
-    let first_idx = progress.next_idx.min(wanted_idx).max(plan.range.start);
+    // What a camera has not kept is not to be had again.
+    let first_idx = progress.next_idx.min(wanted_idx).max(plan.range.start).max(source.first_kept());
     progress.next_idx = first_idx;
-    let sending = tokio::spawn(send(stream.sender, source.clone(), first_idx..plan.range.end, plan.clone()));
+    let range = first_idx..progress.end_idx.max(first_idx);
+    let sending = tokio::spawn(send(stream.sender, source.clone(), range, plan.clone()));
     let received = receive(stream.answers, client, plan, progress, observe).await;
-    finish_sending(sending, received.is_err()).await?;
+    if let Some(end_idx) = finish_sending(sending, received.is_err()).await? {
+        progress.end_idx = end_idx;
+    }
     received?;
-    if progress.next_idx < plan.range.end {
+    if progress.next_idx < progress.end_idx {
         return Err(ClientError::Unreachable {
             server: client.server(),
             reason: String::from("the stream ended before every frame was answered"),
@@ -219,46 +229,51 @@ async fn receive(
         let (frame_idx, answer) = progress.note(plan, received).ok_or_else(|| {
             ClientError::protocol(format!("{} answered a frame that was not sent", client.server()))
         })?;
-        observe(StreamEvent::Answered { frame_idx, answer });
+        observe(StreamEvent::Answered { frame_idx, answer: &answer });
     }
     Ok(())
 }
 
-/// Sends the frames of a range when they are due, until they end or the stream does.
+/// Sends the frames of a range when they are due. The number behind the last one of the range or of the
+/// source; `None` if the stream ended before.
 async fn send(
     sender: FrameSender,
     source: Arc<dyn FrameSource>,
     range: Range<usize>,
     plan: StreamPlan,
-) -> Result<(), ClientError> {
-    let (first_idx, first_ns) = (range.start, source.timestamp_ns(range.start));
+) -> Result<Option<usize>, ClientError> {
+    let first_idx = range.start;
+    let mut end_idx = first_idx;
     let mut frames = read_ahead(source, range);
-    let started = tokio::time::Instant::now();
-    while let Some(frame) = frames.recv().await {
-        let frame = frame?;
-        let due = plan.pacing.due(frame.frame_idx - first_idx, frame.timestamp_ns.saturating_sub(first_ns));
+    let mut first = None;
+    while let Some(ready) = frames.recv().await {
+        let ReadyFrame { frame_idx, frame } = ready?;
+        let (started, first_ns) =
+            *first.get_or_insert_with(|| (tokio::time::Instant::now(), frame.timestamp_ns));
+        let due = plan.pacing.due(frame_idx - first_idx, frame.timestamp_ns.saturating_sub(first_ns));
         tokio::time::sleep_until(started + due).await;
         let sent = v1::Frame {
-            sequence: plan.placement.sequence(frame.frame_idx),
+            sequence: plan.placement.sequence(frame_idx),
             timestamp_ns: frame.timestamp_ns.saturating_add(plan.placement.shift_ns),
             image: Some(frame.image),
         };
         if !sender.send(sent).await {
-            break;
+            return Ok(None);
         }
+        end_idx = frame_idx + 1;
     }
-    Ok(())
+    Ok(Some(end_idx))
 }
 
-/// The sender's error, if it had one. If the stream has ended, it is not waited for: it may be asleep until
-/// its next frame is due.
+/// What the sender came to, as [`send`] says. If the stream has ended, it is not waited for: it may be asleep
+/// until its next frame is due.
 async fn finish_sending(
-    sending: JoinHandle<Result<(), ClientError>>,
+    sending: JoinHandle<Result<Option<usize>, ClientError>>,
     ended: bool,
-) -> Result<(), ClientError> {
+) -> Result<Option<usize>, ClientError> {
     if ended && !sending.is_finished() {
         sending.abort();
-        return Ok(());
+        return Ok(None);
     }
     match sending.await {
         Ok(outcome) => outcome,
@@ -266,14 +281,13 @@ async fn finish_sending(
     }
 }
 
-/// Waits until the last tracked frame is in the server's database.
+/// Waits until the last tracked frame, that of this sequence number, is in the server's database.
 async fn wait_until_durable(
     client: &mut SlamClient,
     plan: &StreamPlan,
-    progress: &Progress,
+    wanted: Option<u64>,
 ) -> Result<v1::Session, ClientError> {
     let deadline = Instant::now() + DURABLE_TIMEOUT;
-    let wanted = progress.last_result(plan);
     loop {
         let session = client.session(&plan.session_id).await?;
         let session = session.ok_or_else(|| ClientError::protocol("the session is gone"))?;
@@ -295,16 +309,6 @@ async fn wait_until_durable(
 
 fn backoff(n_attempts: u32) -> Duration {
     FIRST_BACKOFF.saturating_mul(2u32.saturating_pow(n_attempts.saturating_sub(1))).min(MAX_BACKOFF)
-}
-
-/// Time from the first frame of a range to the end of its last, seconds.
-fn duration_s(source: &dyn FrameSource, range: &Range<usize>) -> f64 {
-    let n = range.len();
-    if n < 2 {
-        return 0.0;
-    }
-    let between_ns = source.timestamp_ns(range.end - 1) - source.timestamp_ns(range.start);
-    between_ns as f64 * 1e-9 * n as f64 / (n - 1) as f64
 }
 
 #[cfg(test)]

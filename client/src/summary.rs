@@ -90,6 +90,9 @@ pub struct StreamSummary {
     pub tracking_cpu_ms: Option<Distribution>,
     /// Wall time by stage, in the order in which stages first ran.
     pub stages: Vec<StageSummary>,
+    /// Duration of the recording by the times of its frames, seconds.
+    #[serde(default)]
+    pub recorded_s: f64,
     /// Time from the first frame sent to the last answered, seconds.
     pub elapsed_s: f64,
     /// Frames answered per second.
@@ -119,45 +122,6 @@ pub struct CameraFinding {
 }
 
 impl StreamSummary {
-    /// Counts and times the answers to the frames of a stream, one for each frame.
-    pub fn of_answers(answers: &[Option<FrameAnswer>]) -> Self {
-        let mut summary = Self { frames: answers.len(), ..Self::default() };
-        let mut results = Vec::new();
-        for answer in answers.iter().flatten() {
-            match answer {
-                FrameAnswer::Result(result) => {
-                    summary.count(result);
-                    results.push(result.as_ref());
-                }
-                FrameAnswer::Dropped => summary.dropped += 1,
-                FrameAnswer::Rejected(_) => summary.rejected += 1,
-            }
-        }
-        let n_with_pose = results.iter().filter(|result| result.pose_world_from_camera.is_some()).count();
-        summary.coverage = n_with_pose as f64 / answers.len().max(1) as f64;
-        let timings: Vec<&v1::FrameTimings> = results.iter().filter_map(|r| r.timings.as_ref()).collect();
-        summary.wall_ms = Distribution::of(timings.iter().map(|t| t.total_ms));
-        summary.tracking_cpu_ms = Distribution::of(timings.iter().map(|t| t.tracking_cpu_ms));
-        summary.stages = stages(&timings);
-        summary
-    }
-
-    fn count(&mut self, result: &v1::FrameResult) {
-        if let Some(found) = result.corrections.iter().rev().find_map(|correction| correction.camera) {
-            let v1::CameraCorrection { focal, centre_x: center_x, centre_y: center_y, adopted } = found;
-            self.camera = Some(CameraFinding { focal, center_x, center_y, adopted });
-        }
-        self.repeated += usize::from(result.repeated);
-        match result.state() {
-            v1::TrackingState::Tracked => self.tracked += 1,
-            v1::TrackingState::Weak => self.weak += 1,
-            v1::TrackingState::Initialising => self.initialising += 1,
-            v1::TrackingState::Lost => self.lost += 1,
-            // A repeated frame whose answer the server no longer has.
-            v1::TrackingState::Unspecified => {}
-        }
-    }
-
     /// Adds what the session holds at the end.
     pub fn set_session(&mut self, session: &v1::Session) {
         self.session.clone_from(&session.id);
@@ -169,65 +133,9 @@ impl StreamSummary {
     }
 }
 
-fn stages(timings: &[&v1::FrameTimings]) -> Vec<StageSummary> {
-    let mut times: Vec<(&str, Vec<f64>)> = Vec::new();
-    for stage in timings.iter().flat_map(|t| &t.stages) {
-        match times.iter_mut().find(|(name, _)| *name == stage.name) {
-            Some((_, values)) => values.push(stage.ms),
-            None => times.push((&stage.name, vec![stage.ms])),
-        }
-    }
-    let summary = |(name, values): (&str, Vec<f64>)| {
-        let frames = values.len();
-        Some(StageSummary { name: name.to_owned(), frames, ms: Distribution::of(values)? })
-    };
-    times.into_iter().filter_map(summary).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn answer(state: v1::TrackingState, total_ms: f64, stages: &[(&str, f64)]) -> Option<FrameAnswer> {
-        let has_pose = matches!(state, v1::TrackingState::Tracked | v1::TrackingState::Weak);
-        let stage = |(name, ms): &(&str, f64)| v1::StageTime { name: (*name).to_owned(), ms: *ms };
-        let timings = v1::FrameTimings {
-            stages: stages.iter().map(stage).collect(),
-            total_ms,
-            tracking_cpu_ms: total_ms / 2.0,
-            queue_ms: 0.0,
-        };
-        Some(FrameAnswer::Result(Box::new(v1::FrameResult {
-            state: state.into(),
-            pose_world_from_camera: has_pose.then(v1::Pose::default),
-            timings: Some(timings),
-            ..Default::default()
-        })))
-    }
-
-    #[test]
-    fn every_frame_is_counted_once() {
-        use v1::TrackingState::{Initialising, Lost, Tracked, Weak};
-        let answers = [
-            answer(Initialising, 1.0, &[("points", 1.0)]),
-            answer(Tracked, 2.0, &[("points", 3.0), ("pose", 0.5)]),
-            answer(Weak, 3.0, &[("points", 2.0)]),
-            answer(Lost, 4.0, &[]),
-            Some(FrameAnswer::Dropped),
-            Some(FrameAnswer::Rejected("too small".into())),
-            None,
-            answer(Tracked, f64::NAN, &[]),
-        ];
-        let summary = StreamSummary::of_answers(&answers);
-        assert_eq!((summary.frames, summary.tracked, summary.weak, summary.initialising), (8, 2, 1, 1));
-        assert_eq!((summary.lost, summary.dropped, summary.rejected), (1, 1, 1));
-        assert_eq!(summary.coverage, 3.0 / 8.0);
-        assert_eq!(summary.wall_ms.unwrap().median, 2.5);
-        assert_eq!(summary.tracking_cpu_ms.unwrap().median, 1.25);
-        let stages: Vec<_> =
-            summary.stages.iter().map(|s| (s.name.as_str(), s.frames, s.ms.median)).collect();
-        assert_eq!(stages, [("points", 3, 2.0), ("pose", 1, 0.5)]);
-    }
 
     #[test]
     fn percentiles_are_those_of_the_definition() {

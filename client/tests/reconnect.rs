@@ -4,13 +4,14 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 
 use client::{
-    ClientError, FrameError, FrameSource, Pacing, Placement, SlamClient, StreamEvent, StreamPlan,
-    StreamSummary, stream_frames,
+    ClientError, FrameError, FrameSource, Pacing, Placement, Sequential, SlamClient, SourceFrame,
+    StreamEvent, StreamPlan, StreamSummary, stream_frames,
 };
 use proto::v1::slam_service_server::{SlamService, SlamServiceServer};
 use proto::v1::stream_frames_request::Message as Sent;
 use proto::v1::stream_frames_response::Message as Received;
 use proto::v1::{self, TrackingState};
+use recordings::{FileError, FrameImage, FrameReader, TimedFrame};
 use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
@@ -22,17 +23,20 @@ const N_FRAMES: usize = 40;
 struct Frames;
 
 impl FrameSource for Frames {
-    fn len(&self) -> usize {
-        N_FRAMES
+    fn n_frames(&self) -> Option<usize> {
+        Some(N_FRAMES)
     }
 
-    fn timestamp_ns(&self, frame_idx: usize) -> i64 {
-        1_000_000 * (frame_idx as i64 + 1)
+    fn frame(&self, frame_idx: usize) -> Result<Option<SourceFrame>, FrameError> {
+        Ok((frame_idx < N_FRAMES).then(|| SourceFrame {
+            timestamp_ns: timestamp_ns(frame_idx),
+            image: v1::Image { data: vec![frame_idx as u8].into(), ..Default::default() },
+        }))
     }
+}
 
-    fn image(&self, frame_idx: usize) -> Result<v1::Image, FrameError> {
-        Ok(v1::Image { data: vec![frame_idx as u8].into(), ..Default::default() })
-    }
+fn timestamp_ns(frame_idx: usize) -> i64 {
+    1_000_000 * (frame_idx as i64 + 1)
 }
 
 /// What the server does wrong.
@@ -302,7 +306,7 @@ async fn streamed(faults: Faults, placement: Placement) -> (Result<StreamSummary
 fn assert_every_frame_is_there_once(server: &Server, placement: Placement) {
     let frames = server.0.lock().unwrap().frames.clone();
     let expected: Vec<(u64, i64, u8)> = (0..N_FRAMES)
-        .map(|i| (placement.sequence(i), Frames.timestamp_ns(i) + placement.shift_ns, i as u8))
+        .map(|i| (placement.sequence(i), timestamp_ns(i) + placement.shift_ns, i as u8))
         .collect();
     assert_eq!(frames, expected);
 }
@@ -335,6 +339,32 @@ async fn frames_that_a_crash_lost_are_sent_again() {
     let (outcome, server) = streamed(faults, Placement::AS_RECORDED).await;
     let summary = outcome.unwrap();
     assert_eq!((summary.tracked, summary.repeated, summary.reconnects), (N_FRAMES, 0, 1));
+    assert_every_frame_is_there_once(&server, Placement::AS_RECORDED);
+}
+
+/// Frames as a camera gives them: one after the other, and nobody knows how many.
+struct Camera(usize);
+
+impl FrameReader for Camera {
+    fn next_frame(&mut self) -> Result<Option<TimedFrame>, FileError> {
+        let frame_idx = self.0;
+        self.0 += 1;
+        let image = FrameImage::Encoded(vec![frame_idx as u8]);
+        Ok((frame_idx < N_FRAMES).then(|| TimedFrame { timestamp_ns: timestamp_ns(frame_idx), image }))
+    }
+}
+
+#[tokio::test]
+async fn a_camera_goes_on_after_a_break_and_ends_when_it_does() {
+    let faults = Faults { break_after: vec![5, 20], n_forgotten: 3, ..Default::default() };
+    let (address, server) = serve(faults).await;
+    let mut client = SlamClient::connect(&format!("http://{address}")).await.unwrap();
+    let source: Arc<dyn FrameSource> = Arc::new(Sequential::live(Box::new(Camera(0))));
+    let plan = StreamPlan::lossless("s", source.as_ref());
+    assert_eq!(plan.range, 0..usize::MAX);
+    let summary = stream_frames(&mut client, &source, &plan, |_| {}).await.unwrap();
+    assert_eq!((summary.frames, summary.tracked, summary.reconnects), (N_FRAMES, N_FRAMES, 2));
+    assert!((summary.recorded_s - 1e-3 * N_FRAMES as f64).abs() < 1e-9, "{}", summary.recorded_s);
     assert_every_frame_is_there_once(&server, Placement::AS_RECORDED);
 }
 

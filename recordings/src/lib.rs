@@ -2,6 +2,8 @@
 //!
 //! * [`Recording`]: a folder of images with their times, calibration and ground truth, in the [`Layout`]s in
 //!   use; [`find_folder`] also looks where `MONOSLAM_DATA` says that recordings are kept.
+//! * [`FrameReader`]: images one after the other, from videos and cameras ([`Ffmpeg`]) and from pipes
+//!   ([`read_pipe`]), MCAP files and bags ([`Bag`]).
 //! * [`Trajectory`]: stamped camera poses, read from and written to the usual text files.
 //! * [`evaluate`]: absolute and relative errors after alignment, the figures of `evo_ape` and `evo_rpe`;
 //!   [`pose_errors`]: those of each pose.
@@ -17,19 +19,25 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod bag;
 mod data;
 mod dataset;
 mod evaluation;
 mod files;
+mod frames;
 mod time;
 mod trajectory;
+mod video;
 
+pub use bag::{Bag, BagReader};
 pub use data::{DATA_VARIABLE, find_folder};
-pub use dataset::{FrameFile, Layout, Playback, Recording};
+pub use dataset::{FrameFile, Layout, Playback, Recording, read_calibration};
 pub use evaluation::{
     Alignment, Evaluation, EvaluationError, EvaluationOptions, Match, PoseError, associate, evaluate,
     pose_errors,
 };
 pub use files::{FileError, count_data_lines};
+pub use frames::{FrameImage, FrameReader, PixelFormat, RawImage, TimedFrame};
 pub use time::{format_seconds, parse_seconds_ns};
 pub use trajectory::{StampedPose, Trajectory};
+pub use video::{Ffmpeg, FrameTimes, GrayReader, MjpegReader, VideoInput, VideoReader, read_pipe};

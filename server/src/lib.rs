@@ -36,6 +36,7 @@ pub use error::{ApiError, ErrorCode, FieldViolation};
 pub use model::{Camera, Model, Pose, Scale, State, Units};
 pub use options::SessionOptions;
 pub use page::{DEFAULT_PAGE_SIZE, MAX_PAGE_SIZE, Page, PageRequest};
+pub use rest::viewer_file;
 pub use server::{DATABASE_FILE, Running, Server, Shutdown, open_store};
 pub use service::{NewSession, Service};
 pub use session::SessionView;

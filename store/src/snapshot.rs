@@ -108,6 +108,16 @@ impl MapSnapshot {
         select_keyframes(&mut self.transaction, self.session, first, i64::MAX, ROWS_PER_STEP as i64).await
     }
 
+    /// What a keyframe's image is, such as `image/jpeg`; `None` if it was not kept.
+    ///
+    /// # Errors
+    /// If the database cannot be read.
+    pub async fn image_media_type(&mut self, id: KeyframeId) -> Result<Option<String>, StoreError> {
+        let sql = "SELECT media_type FROM keyframe_images WHERE session = ? AND keyframe = ?";
+        let media_type = sqlx::query_scalar(sql).bind(self.session).bind(keyframe_column(id)?);
+        Ok(media_type.fetch_optional(&mut *self.transaction).await?)
+    }
+
     /// Every primitive; there are some dozens.
     ///
     /// # Errors

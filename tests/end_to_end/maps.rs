@@ -195,7 +195,7 @@ fn check_tracks(images: &[String], points: &[String]) {
     let mut told_by_images = BTreeSet::new();
     for image in images.chunks(2) {
         let id: u64 = image[0].split(' ').next().unwrap().parse().unwrap();
-        assert!(image[0].ends_with(&format!("1 keyframe_{id:06}")), "{}", image[0]);
+        assert!(image[0].ends_with(&format!("1 keyframe_{id:06}.png")), "{}", image[0]);
         let numbers: Vec<&str> = image[1].split(' ').collect();
         for (idx, keypoint) in numbers.chunks(3).enumerate() {
             let x: f64 = keypoint[0].parse().unwrap();

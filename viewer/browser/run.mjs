@@ -1,16 +1,19 @@
 /**
  * The page in a real browser, against real servers: `npm run browser`, with the programs built by `cargo build` and
- * a chromium in the path (or named by CHROMIUM). `-- --pictures DIR` also takes the documents' pictures, `-- --only-capture` tries the
- * page of the camera alone.
+ * a chromium in the path (or named by CHROMIUM). `-- --pictures DIR` also takes the documents' pictures,
+ * `-- --only-capture` tries the page of the camera alone.
  */
 
 import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
+import { mkdtempSync, rmSync } from 'node:fs';
 import { createRequire } from 'node:module';
+import { tmpdir } from 'node:os';
 import { join } from 'node:path';
+import { pathToFileURL } from 'node:url';
 import { chromium } from 'playwright-core';
 import { capture } from './capture.mjs';
-import { demonstration, emptyServer } from './servers.mjs';
+import { demonstration, emptyServer, PROGRAMS } from './servers.mjs';
 
 const AXE = createRequire(import.meta.url).resolve('axe-core/axe.min.js');
 const FRAMES = Number(process.env.FRAMES ?? 150);
@@ -200,6 +203,43 @@ async function finished(browser, page, url, session) {
   await picture(phone, 'phone');
 }
 
+/** A report is a file: it shows the same without a server and without a network. */
+async function report(browser, grpc, session) {
+  const folder = mkdtempSync(join(tmpdir(), 'monoslam-report-'));
+  try {
+    const file = join(folder, 'report.html');
+    execFileSync(join(PROGRAMS, 'monoslam'), ['report', session.id, '--server', grpc, '--pictures', '4', '-o', file]);
+    for (const [what, options] of [
+      ['report, light', { colorScheme: 'light' }],
+      ['report, 360 pixels, dark', { colorScheme: 'dark', viewport: { width: 360, height: 740 }, hasTouch: true, isMobile: true }],
+    ]) {
+      const page = await newPage(browser, { ...options, offline: true });
+      const asked = [];
+      page.on('request', (request) => /^(file|data|blob):/.test(request.url()) || asked.push(request.url()));
+      await page.goto(pathToFileURL(file).href);
+      await page.waitForFunction(() => document.querySelector('.waiting')?.hidden);
+      assert.equal(await number(page, 'Points'), session.n_points);
+      const pictures = () => [...document.querySelectorAll('figure img, .keyframes img')].map((image) => image.complete && image.naturalWidth > 0);
+      await page.waitForFunction(`(${pictures})().every(Boolean)`);
+      assert.ok((await page.evaluate(pictures)).length >= 8, 'plots and keyframes');
+      await page.locator('.keyframes a').last().click();
+      await page.getByText(/Keyframe \d+ is frame/).waitFor();
+      await page.waitForFunction(() => [...document.querySelectorAll('h2')].some((title) => /^Keyframe \d+$/.test(title.textContent)));
+      await page.getByText(/keypoints see a point/).waitFor();
+      await check(page, what);
+      if (what.includes('light')) {
+        await page.evaluate(() => scrollTo(0, 0));
+        await picture(page, 'report');
+      }
+      assert.deepEqual(asked, [], 'nothing is fetched');
+      await page.context().close();
+    }
+    passed('a report works as a file, without a network');
+  } finally {
+    rmSync(folder, { recursive: true, force: true });
+  }
+}
+
 const forgetComplaints = () => complaints.splice(0);
 
 async function viewer() {
@@ -212,6 +252,7 @@ async function viewer() {
     await live(page, demo.url);
     const session = await whole(page, demo.url);
     await finished(browser, page, demo.url, session);
+    await report(browser, demo.grpc, session);
   } finally {
     await browser.close();
     await demo?.remove();

@@ -7,6 +7,7 @@ import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { fileURLToPath } from 'node:url';
 
+/** Where the programs are. */
 export const PROGRAMS = process.env.VIEWER_PROGRAMS ?? fileURLToPath(new URL('../../target/debug', import.meta.url));
 
 function freePort() {
@@ -60,11 +61,11 @@ export async function demonstration(frames) {
     stdio: ['ignore', 'pipe', 'pipe'],
   });
   let text = '';
-  const url = await new Promise((resolve, reject) => {
+  const [grpc, url] = await new Promise((resolve, reject) => {
     const read = (bytes) => {
       text += bytes;
-      const match = /HTTP at (http:\/\/[\d.:]+)/.exec(text);
-      if (match) resolve(match[1]);
+      const match = /gRPC at (http:\/\/[\d.:]+), HTTP at (http:\/\/[\d.:]+)/.exec(text);
+      if (match) resolve(match.slice(1));
     };
     child.stdout.on('data', read);
     child.stderr.on('data', read);
@@ -76,5 +77,5 @@ export async function demonstration(frames) {
     await ended(child);
     clearTimeout(patience);
   };
-  return { url, remove };
+  return { grpc, url, remove };
 }

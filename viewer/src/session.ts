@@ -2,6 +2,7 @@
 
 import { formatAddress, type SessionAddress } from './address';
 import { ApiProblem, getEdges, getSession, sessionPath, type Session } from './data/api';
+import { embedded } from './data/embedded';
 import { Follower, type FrameEvent } from './data/live';
 import { Scene } from './data/scene';
 import { announce, h } from './dom';
@@ -57,7 +58,9 @@ export class SessionPage {
     this.#measure = new MeasurePanel(id, this.#scene, () => this.#draw(), onSession);
     this.#follow.addEventListener('change', () => this.#change({ follow: this.#follow.checked }));
     this.#buildStage();
-    const side = h('div', { class: 'side' }, this.#image.element, this.#statistics.element, this.#keyframe.element, this.#measure.element, exportsPanel(id, () => this.#view?.picture()));
+    // What is asked of a server is not in a report.
+    const asked = embedded ? [] : [this.#measure.element, exportsPanel(id, () => this.#view?.picture())];
+    const side = h('div', { class: 'side' }, this.#image.element, this.#statistics.element, this.#keyframe.element, ...asked);
     const left = h('div', { class: 'left' }, this.#stage, this.#timeline.element);
     root.replaceChildren(h('h1', { class: 'visually-hidden' }, `Session ${id}`), this.#trouble, h('div', { class: 'session' }, left, side));
     this.#follower = new Follower(id, this.#scene, {

@@ -5,13 +5,14 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use client::{FrameError, FrameSource, StreamSummary};
+use client::{FrameError, FrameSource, SourceFrame, StreamSummary};
 use proto::v1;
 use recordings::{StampedPose, Trajectory};
 use synthetic::{Preset, Sequence, SequenceConfig};
 
 use super::local::{LocalRun, LocalServer};
-use super::report;
+use super::report::Known;
+use super::summary;
 
 /// What to show.
 #[derive(Debug, Args)]
@@ -28,30 +29,37 @@ pub struct DemoArgs {
     /// Draw map and trajectories, seen from above, into an SVG file
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
+    /// Write everything about the session on one page that needs no server
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
 }
 
 /// A sequence whose frames are rendered when they are sent.
 struct Rendered(Sequence);
 
 impl FrameSource for Rendered {
-    fn len(&self) -> usize {
-        self.0.len()
+    fn n_frames(&self) -> Option<usize> {
+        Some(self.0.len())
     }
 
-    fn timestamp_ns(&self, frame_idx: usize) -> i64 {
-        self.0.timestamp_ns(frame_idx)
-    }
-
-    fn image(&self, frame_idx: usize) -> Result<v1::Image, FrameError> {
+    fn frame(&self, frame_idx: usize) -> Result<Option<SourceFrame>, FrameError> {
+        if frame_idx >= self.0.len() {
+            return Ok(None);
+        }
         let image = self.0.frame(frame_idx).image;
         let (width, height) = (image.width(), image.height());
-        Ok(v1::Image {
+        let image = v1::Image {
             encoding: v1::ImageEncoding::Gray8.into(),
             width,
             height,
             row_stride: 0,
             data: image.pixels().to_vec().into(),
-        })
+        };
+        Ok(Some(SourceFrame { timestamp_ns: self.0.timestamp_ns(frame_idx), image }))
+    }
+
+    fn timestamp_ns(&self, frame_idx: usize) -> Result<Option<i64>, FrameError> {
+        Ok((frame_idx < self.0.len()).then(|| self.0.timestamp_ns(frame_idx)))
     }
 }
 
@@ -73,7 +81,7 @@ pub async fn run(args: DemoArgs) -> Result<()> {
         is_realtime: false,
     };
     let outcome = server.run(run).await?;
-    println!("\n{}", report::summary(&outcome.summary).trim_end());
+    println!("\n{}", summary::table(&outcome.summary).trim_end());
     println!("{:<26} {:.1} % of the frames have a pose", "trajectory", 100.0 * outcome.coverage);
     let evaluation =
         outcome.evaluation.context("the trajectory is too short to be compared with the truth")?;
@@ -84,6 +92,11 @@ pub async fn run(args: DemoArgs) -> Result<()> {
         evaluation.path,
         evaluation.ate_percent_of_path.unwrap_or_default()
     );
+    if let Some(path) = &args.report {
+        let known = Known { truth: Some(truth.clone()), summary: Some(outcome.summary.clone()) };
+        server.report(known).await?.write(path)?;
+        println!("{:<26} {}", "report", path.display());
+    }
     if let Some(path) = &args.picture {
         let title = format!(
             "A rendered room and the path of the camera through it, seen from above ({})",

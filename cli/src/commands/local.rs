@@ -12,10 +12,14 @@ use server::{Config, Running, Server};
 use tempfile::TempDir;
 
 use super::picture::{MapLine, Scene};
+use super::report::{Known, Report};
 use super::stream::stream_with_progress;
 
 /// The one session of a server inside.
 const SESSION: &str = "local";
+
+/// Keyframes whose pictures are in a report.
+const N_PICTURES: usize = 12;
 
 /// A server at free ports of this machine, its database in a temporary folder that goes when it does.
 pub struct LocalServer {
@@ -89,7 +93,7 @@ impl LocalServer {
         let plan = plan(session.id, source.as_ref());
         let summary = stream_with_progress(&mut client, &source, &plan).await?;
         let estimate = HttpClient::new(self.http()).trajectory(&plan.session_id).await?;
-        let options = EvaluationOptions { n_frames: Some(source.len()), ..EvaluationOptions::default() };
+        let options = EvaluationOptions { n_frames: Some(summary.frames), ..EvaluationOptions::default() };
         let evaluation = match truth.map(|truth| evaluate(truth, &estimate, &options)) {
             Some(Ok(evaluation)) => Some(evaluation),
             Some(Err(error)) => {
@@ -98,8 +102,13 @@ impl LocalServer {
             }
             None => None,
         };
-        let coverage = estimate.len() as f64 / source.len().max(1) as f64;
+        let coverage = estimate.len() as f64 / summary.frames.max(1) as f64;
         Ok(LocalOutcome { summary, trajectory: estimate, coverage, evaluation })
+    }
+
+    /// Everything about the session on one page.
+    pub async fn report(&self, known: Known) -> Result<Report> {
+        Report::of(&HttpClient::new(self.http()), SESSION, known, N_PICTURES).await
     }
 
     /// The map with the trajectories, to be drawn.

@@ -3,12 +3,15 @@
 mod bench;
 mod demo;
 mod evaluate;
+mod export;
 mod local;
+mod output;
 mod picture;
 mod progress;
 mod report;
 mod sessions;
 mod stream;
+mod summary;
 mod trajectory;
 
 use anyhow::Result;
@@ -22,6 +25,10 @@ pub enum Command {
     Stream(stream::StreamArgs),
     /// Fetch the trajectory of a session
     Trajectory(trajectory::TrajectoryArgs),
+    /// Save the map of a session as files of other programs
+    Export(export::ExportArgs),
+    /// Write everything about a session on one page that needs no server
+    Report(report::ReportArgs),
     /// Compare an estimated trajectory with the true one
     Evaluate(evaluate::EvaluateArgs),
     /// Stream recordings through a server of its own and measure accuracy, time and memory
@@ -41,6 +48,8 @@ impl Command {
         match self {
             Self::Stream(args) => stream::run(args).await,
             Self::Trajectory(args) => trajectory::run(args).await,
+            Self::Export(args) => export::run(args).await,
+            Self::Report(args) => report::run(args).await,
             Self::Evaluate(args) => evaluate::run(&args),
             Self::Bench(args) => bench::run(args).await,
             Self::BenchRun(args) => bench::run_once(args).await,

@@ -1,13 +1,13 @@
 //! `monoslam trajectory`: fetches the trajectory of a session.
 
-use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::io::{self, Write};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use client::{HttpClient, TrajectoryFormat, TrajectoryKind};
+use client::{TrajectoryFormat, TrajectoryKind};
 
+use super::output::OutputFile;
 use super::{ServerArgs, session_id};
 
 /// What to fetch.
@@ -33,31 +33,16 @@ pub struct TrajectoryArgs {
 pub async fn run(args: TrajectoryArgs) -> Result<()> {
     let http = args.server.http().await?;
     match &args.output {
-        Some(path) => write_file(&http, &args, path).await,
+        Some(path) => {
+            let mut file = OutputFile::create(path)?;
+            let written = http.write_trajectory(&args.session, args.format, args.kind, &mut file).await;
+            written.with_context(|| format!("cannot fetch the trajectory into {}", path.display()))?;
+            file.finish()
+        }
         None => {
             let mut out = io::stdout().lock();
             http.write_trajectory(&args.session, args.format, args.kind, &mut out).await?;
             Ok(out.flush()?)
         }
     }
-}
-
-/// Writes beside the file and renames, so that a file of that name is always whole.
-async fn write_file(http: &HttpClient, args: &TrajectoryArgs, path: &Path) -> Result<()> {
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".part");
-    let partial = PathBuf::from(partial);
-    let written = async {
-        let mut out = BufWriter::new(File::create(&partial)?);
-        http.write_trajectory(&args.session, args.format, args.kind, &mut out).await?;
-        out.flush()?;
-        fs::rename(&partial, path)?;
-        anyhow::Ok(())
-    };
-    let outcome = written.await;
-    if outcome.is_err() {
-        // It may not have been made.
-        let _ = fs::remove_file(&partial);
-    }
-    outcome.with_context(|| format!("cannot fetch the trajectory into {}", path.display()))
 }

@@ -1014,6 +1014,10 @@ pub enum MapFormat {
     ColmapCameras = 3,
     ColmapImages = 4,
     ColmapPoints3d = 5,
+    /// transforms.json of nerfstudio and instant-ngp, of key frames whose image was kept.
+    Transforms = 6,
+    /// MCAP with Foxglove's schemas: points, lines, the camera's way and the key frames' images.
+    Mcap = 7,
 }
 impl MapFormat {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -1028,6 +1032,8 @@ impl MapFormat {
             Self::ColmapCameras => "MAP_FORMAT_COLMAP_CAMERAS",
             Self::ColmapImages => "MAP_FORMAT_COLMAP_IMAGES",
             Self::ColmapPoints3d => "MAP_FORMAT_COLMAP_POINTS3D",
+            Self::Transforms => "MAP_FORMAT_TRANSFORMS",
+            Self::Mcap => "MAP_FORMAT_MCAP",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -1039,6 +1045,8 @@ impl MapFormat {
             "MAP_FORMAT_COLMAP_CAMERAS" => Some(Self::ColmapCameras),
             "MAP_FORMAT_COLMAP_IMAGES" => Some(Self::ColmapImages),
             "MAP_FORMAT_COLMAP_POINTS3D" => Some(Self::ColmapPoints3d),
+            "MAP_FORMAT_TRANSFORMS" => Some(Self::Transforms),
+            "MAP_FORMAT_MCAP" => Some(Self::Mcap),
             _ => None,
         }
     }

@@ -61,7 +61,11 @@ enum Model {
     Fov,
 }
 
-fn read_calibration(path: &Path) -> Result<Camera, FileError> {
+/// Reads a file `calib.json`: the camera as one JSON object.
+///
+/// # Errors
+/// A [`FileError`] that names what is wrong with it.
+pub fn read_calibration(path: &Path) -> Result<Camera, FileError> {
     let file = TextFile::read(path)?;
     let calibration: Calibration = serde_json::from_str(file.text()).map_err(|e| FileError::Line {
         path: path.to_owned(),

@@ -16,6 +16,7 @@ mod listing;
 mod playback;
 mod tum;
 
+pub use folder::read_calibration;
 pub use playback::Playback;
 
 use std::fmt;

@@ -96,8 +96,11 @@ pub async fn export(
         Ok(v1::MapFormat::ColmapCameras) => MapFormat::Colmap(ColmapPart::Cameras),
         Ok(v1::MapFormat::ColmapImages) => MapFormat::Colmap(ColmapPart::Images),
         Ok(v1::MapFormat::ColmapPoints3d) => MapFormat::Colmap(ColmapPart::Points3D),
+        Ok(v1::MapFormat::Transforms) => MapFormat::Transforms,
+        Ok(v1::MapFormat::Mcap) => MapFormat::Mcap,
         Ok(v1::MapFormat::Unspecified) | Err(_) => {
-            let sentence = "must be PLY, JSON, COLMAP_CAMERAS, COLMAP_IMAGES or COLMAP_POINTS3D";
+            let sentence =
+                "must be PLY, JSON, COLMAP_CAMERAS, COLMAP_IMAGES, COLMAP_POINTS3D, TRANSFORMS or MCAP";
             return Err(ApiError::invalid("format", sentence));
         }
     };

@@ -7,7 +7,7 @@ use crate::maps::{ColmapPart, MapFormat};
 use crate::session::SessionId;
 use axum::body::Body;
 use axum::extract::{Path, State};
-use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_TYPE};
 use axum::response::IntoResponse;
 use serde::{Deserialize, Serialize};
 use slam::map::SubmapId;
@@ -24,6 +24,10 @@ pub(super) enum Format {
     Json,
     /// COLMAP's text model, one `part` at a time.
     Colmap,
+    /// `transforms.json` of nerfstudio and instant-ngp, of keyframes whose image was kept.
+    Transforms,
+    /// MCAP with Foxglove's schemas: points, lines, the camera's way and the keyframes' images.
+    Mcap,
 }
 
 /// A file of a COLMAP text model.
@@ -50,7 +54,8 @@ pub(super) struct Wanted {
     format: Format,
     /// COLMAP: which file of the model. COLMAP puts the origin at the corner of the top-left pixel, half a
     /// pixel from where it is everywhere else here. Image names are `keyframe_` and the keyframe's number
-    /// with six digits; the images are at `…/keyframes/{kf}/image`. Reprojection errors are -1: not computed.
+    /// with six digits, and `.jpg` or `.png` where the image was kept; the images are at
+    /// `…/keyframes/{kf}/image`. Reprojection errors are -1: not computed.
     /// Fetch the three parts while nobody streams: each is as of its own commit.
     #[param(inline)]
     part: Option<Part>,
@@ -77,7 +82,11 @@ pub(super) async fn map(
     let file = app.service.maps().export(&id, format, wanted.submap_id.map(SubmapId)).await?;
     // Names of files are letters, digits, `-`, `_` and `.`: nothing to escape.
     let disposition = format!("attachment; filename=\"{}\"", file.name);
-    let headers = [(CONTENT_TYPE, file.media_type.to_owned()), (CONTENT_DISPOSITION, disposition)];
+    let headers = [
+        (CONTENT_TYPE, file.media_type.to_owned()),
+        (CONTENT_DISPOSITION, disposition),
+        (CONTENT_LENGTH, file.n_bytes.to_string()),
+    ];
     Ok((headers, Body::from_stream(file.into_chunks().await?)))
 }
 
@@ -86,15 +95,15 @@ impl Wanted {
         match (self.format, self.part) {
             (Format::Ply, None) => Ok(MapFormat::Ply),
             (Format::Json, None) => Ok(MapFormat::Json),
+            (Format::Transforms, None) => Ok(MapFormat::Transforms),
+            (Format::Mcap, None) => Ok(MapFormat::Mcap),
             (Format::Colmap, Some(Part::Cameras)) => Ok(MapFormat::Colmap(ColmapPart::Cameras)),
             (Format::Colmap, Some(Part::Images)) => Ok(MapFormat::Colmap(ColmapPart::Images)),
             (Format::Colmap, Some(Part::Points3D)) => Ok(MapFormat::Colmap(ColmapPart::Points3D)),
             (Format::Colmap, None) => {
                 Err(ApiError::invalid("part", "must be cameras, images or points3D with format=colmap"))
             }
-            (Format::Ply | Format::Json, Some(_)) => {
-                Err(ApiError::invalid("part", "is for format=colmap only"))
-            }
+            (_, Some(_)) => Err(ApiError::invalid("part", "is for format=colmap only")),
         }
     }
 }

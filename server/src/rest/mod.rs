@@ -34,6 +34,7 @@ use utoipa_axum::router::{OpenApiRouter, UtoipaMethodRouterExt};
 use utoipa_axum::routes;
 
 pub use crate::model::{Camera, Pose, State};
+pub use assets::viewer_file;
 pub use model::{Session, SessionPage};
 pub use problem::{ProblemDetails, Violation};
 pub use trajectory::{Format, TrajectoryWriter};

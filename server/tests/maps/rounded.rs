@@ -12,7 +12,7 @@ pub fn rounded(text: &str) -> String {
         let n_word = rest.find(|c: char| !is_number(c)).unwrap_or(rest.len());
         let (word, after) = rest.split_at(n_word);
         match word.parse::<f64>() {
-            Ok(number) if word.contains('.') => out.push_str(&shortened(number)),
+            Ok(number) if word.contains('.') && !word.ends_with('.') => out.push_str(&shortened(number)),
             _ => out.push_str(word),
         }
         let n_between = after.find(is_number).unwrap_or(after.len());
@@ -33,4 +33,5 @@ fn shortened(number: f64) -> String {
 fn only_long_numbers_are_shortened() {
     assert_eq!(rounded("a1 -0.1234567894999,2.50 x-7 1.2.3"), "a1 -0.123456789,2.5 x-7 1.2.3");
     assert_eq!(rounded("{\"x\":-1.3e-17}"), "{\"x\":0}");
+    assert_eq!(rounded("keyframe_000002.png"), "keyframe_000002.png");
 }

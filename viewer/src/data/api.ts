@@ -1,5 +1,7 @@
 /** The server's HTTP interface, as far as the page needs it. */
 
+import { answerFrom, embedded } from './embedded';
+
 export type State = 'initialising' | 'tracked' | 'weak' | 'lost';
 
 export interface Session {
@@ -66,7 +68,7 @@ export class ServerAway extends Error {
 export async function request(path: string, init: RequestInit = {}): Promise<Response> {
   let response: Response;
   try {
-    response = await fetch(path, init);
+    response = embedded ? answerFrom(embedded, path) : await fetch(path, init);
   } catch (error) {
     if (error instanceof DOMException && error.name === 'AbortError') throw error;
     throw new ServerAway();

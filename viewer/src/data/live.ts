@@ -1,6 +1,7 @@
 /** Keeps a scene up to date: reads it, follows the session's events, and reads what changed after a pause. */
 
 import { ApiProblem, request, sessionPath, type Session, type State } from './api';
+import { embedded } from './embedded';
 import { linesOf, type Pose, type ScenePart } from './parts';
 import type { FrameRow, Scene } from './scene';
 
@@ -52,7 +53,9 @@ export class Follower {
     private readonly scene: Scene,
     private readonly listener: Listener,
   ) {
-    this.#connect();
+    // What the page carries does not change.
+    if (embedded) this.#read();
+    else this.#connect();
   }
 
   close(): void {

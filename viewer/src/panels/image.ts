@@ -1,7 +1,7 @@
 /** The current image with its keypoints, segments and vanishing points. */
 
 import { palette, primitiveColor } from '../colors';
-import { getObserved, type Observed } from '../data/api';
+import { getObserved, request, type Observed } from '../data/api';
 import { h } from '../dom';
 
 /** An image that can be shown: where it is, and what to call it. */
@@ -64,8 +64,7 @@ export class ImagePanel {
       this.#next = null;
       try {
         const signal = this.#abort.signal;
-        const [response, observed] = await Promise.all([fetch(`${path}/image`, { signal }), getObserved(path, signal)]);
-        if (!response.ok) continue;
+        const [response, observed] = await Promise.all([request(`${path}/image`, { signal }), getObserved(path, signal)]);
         const bitmap = await createImageBitmap(await response.blob());
         [this.#path, this.#bitmap, this.#observed] = [path, bitmap, observed];
         this.#title.textContent = title;

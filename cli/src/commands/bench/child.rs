@@ -16,6 +16,7 @@ use super::machine;
 use super::playback::PlaybackArgs;
 use super::setup::{Configuration, Pace};
 use crate::commands::local::{LocalRun, LocalServer};
+use crate::commands::report::Known;
 
 /// One run.
 #[derive(Debug, Args)]
@@ -40,6 +41,9 @@ pub struct RunArgs {
     /// Which frames
     #[command(flatten)]
     pub playback: PlaybackArgs,
+    /// File to write a report into
+    #[arg(long)]
+    pub report: Option<PathBuf>,
 }
 
 /// What came of one run.
@@ -72,6 +76,9 @@ impl RunArgs {
             command.arg("--deterministic");
         }
         command.args(self.playback.words());
+        if let Some(report) = &self.report {
+            command.arg("--report").arg(report);
+        }
         let output =
             command.stdin(Stdio::null()).stderr(Stdio::inherit()).kill_on_drop(true).output().await?;
         ensure!(output.status.success(), "a run of {} failed: {}", self.dataset.display(), output.status);
@@ -113,6 +120,9 @@ pub async fn run_once(args: RunArgs) -> Result<()> {
         is_realtime: args.pace == Pace::Realtime,
     };
     let outcome = server.run(run).await?;
+    if let Some(path) = &args.report {
+        server.report(Known { truth, summary: Some(outcome.summary.clone()) }).await?.write(path)?;
+    }
     server.stop().await?;
     let result = RunResult {
         sequence,

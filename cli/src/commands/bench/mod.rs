@@ -55,6 +55,9 @@ pub struct BenchArgs {
     /// Layout of the recordings [default: recognized]
     #[arg(long, value_name = "L")]
     layout: Option<Layout>,
+    /// Folder to write a report of each run into
+    #[arg(long, value_name = "DIR")]
+    reports: Option<PathBuf>,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -76,6 +79,9 @@ pub async fn run(args: BenchArgs) -> Result<()> {
         let recording =
             Recording::open(&find_folder(dataset)?, args.layout)?.played(&args.playback.playback())?;
         ensure!(recording.ground_truth.is_some(), "{} has no ground truth", dataset.display());
+    }
+    if let Some(folder) = &args.reports {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
     let peers = args.peers.as_deref().map_or_else(|| Ok(Vec::new()), peers::read)?;
     let configurations: &[Configuration] =
@@ -114,6 +120,10 @@ async fn measure(args: &BenchArgs, dataset: &Path, configuration: Configuration)
             deterministic: args.deterministic,
             seed,
             playback: args.playback,
+            report: args
+                .reports
+                .as_deref()
+                .map(|folder| folder.join(report_name(dataset, configuration, seed))),
         };
         let result = run.in_child().await?;
         eprintln!(
@@ -128,6 +138,12 @@ async fn measure(args: &BenchArgs, dataset: &Path, configuration: Configuration)
         runs.push(result);
     }
     Row::new(configuration.name(), runs).context("no runs")
+}
+
+/// The file of a run's report.
+fn report_name(dataset: &Path, configuration: Configuration, seed: u64) -> String {
+    let name = dataset.file_name().unwrap_or_default().to_string_lossy();
+    format!("{name}-{}-{seed}.html", configuration.name())
 }
 
 /// The section that the figures belong into.

@@ -1,8 +1,12 @@
 //! Pictures of maps and trajectories seen from above: one SVG file that needs nothing else, readable on light
 //! and dark pages.
 
+pub mod chart;
+mod graph;
 mod svg;
 mod view;
+
+pub use graph::Graph;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -27,6 +31,15 @@ const MAX_LINES: usize = 3000;
 const GAP_STEPS: i64 = 20;
 /// Vertices of a trajectory that are drawn, at most: 10 bytes each. Likewise.
 const MAX_VERTICES: usize = 2500;
+
+/// Where a picture looks from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// From above.
+    Above,
+    /// From the side, level.
+    Side,
+}
 
 /// A line landmark.
 #[derive(Clone, Debug)]
@@ -62,15 +75,41 @@ impl Scene {
         std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
     }
 
-    /// The picture.
+    /// The picture from above.
     ///
     /// # Errors
     /// If there is no pose, or truth and estimate have too little in common to be laid over each other.
     pub fn draw(&self) -> Result<String> {
+        self.draw_from(Direction::Above)
+    }
+
+    /// How far the estimate is from the truth at the times they have in common: seconds from the first, and
+    /// distance after alignment in units of the truth. `None` without a truth that it can be laid over.
+    pub fn position_errors(&self) -> Option<Vec<[f64; 2]>> {
+        let truth = self.truth.as_ref()?;
+        let truth_from_map = alignment(truth, &self.estimate).ok()?;
+        let matches = associate(truth, &self.estimate, MAX_DT_NS);
+        let first_ns = truth.poses()[matches.first()?.truth_idx].timestamp_ns;
+        let error = |found: &recordings::Match| {
+            let (truth, estimate) =
+                (truth.poses()[found.truth_idx], self.estimate.poses()[found.estimate_idx]);
+            let place = truth_from_map.transform(&estimate.world_from_camera.translation);
+            let seconds = truth.timestamp_ns.saturating_sub(first_ns) as f64 * 1e-9;
+            [seconds, (place - truth.world_from_camera.translation).norm()]
+        };
+        Some(matches.iter().map(error).collect())
+    }
+
+    /// The picture.
+    ///
+    /// # Errors
+    /// As [`Self::draw`].
+    pub fn draw_from(&self, direction: Direction) -> Result<String> {
         let aligned = self.aligned()?;
         let truth: Vec<Pose> = self.truth.iter().flat_map(poses).collect();
         let view = TopView::of(if truth.is_empty() { &aligned.estimate } else { &truth }, &aligned.lines)
             .context("there is no pose to draw")?;
+        let view = if direction == Direction::Side { view.seen_from_the_side() } else { view };
         let path = |poses: &[Pose]| -> Vec<[f64; 2]> {
             poses.iter().map(|pose| view.seen(&pose.translation)).collect()
         };
@@ -242,6 +281,15 @@ mod tests {
     fn path<'a>(picture: &'a str, style: &str) -> &'a str {
         let start = format!("<path class=\"{style}\" d=\"");
         picture.split_once(&start).and_then(|(_, rest)| rest.split_once('"')).map_or("", |(path, _)| path)
+    }
+
+    #[test]
+    fn a_scaled_circle_is_not_off_and_is_flat_seen_from_the_side() {
+        let errors = scene().position_errors().unwrap();
+        assert!(errors.len() == 60 && errors.iter().all(|error| error[1] < 1e-9));
+        assert!((errors[59][0] - 5.9).abs() < 1e-9);
+        assert_ne!(scene().draw_from(Direction::Side).unwrap(), scene().draw().unwrap());
+        assert!(Scene { truth: None, ..scene() }.position_errors().is_none());
     }
 
     #[test]

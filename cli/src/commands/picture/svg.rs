@@ -32,6 +32,8 @@ path{fill:none;stroke-linecap:round;stroke-linejoin:round}\
 .p3{stroke:#cc79a7;stroke-width:5}.p4{stroke:#56b4e9;stroke-width:5}.p5{stroke:#b58900;stroke-width:5}\
 .truth{stroke:var(--truth);stroke-width:13}\
 .estimate{stroke:var(--ink);stroke-width:4}\
+.covisible{stroke:#2e9f5b;stroke-width:2;opacity:.5}.tied{stroke:#d1343f;stroke-width:2;opacity:.5}\
+.keyframes{stroke:var(--ink);stroke-width:12}\
 .bar{stroke:var(--ink);stroke-width:4}";
 
 /// How something looks.
@@ -49,6 +51,12 @@ pub enum Style {
     Truth,
     /// The estimated trajectory.
     Estimate,
+    /// Pairs of keyframes that share landmarks.
+    Covisible,
+    /// Pairs of keyframes that see the same global primitive.
+    Tied,
+    /// Keyframes.
+    Keyframes,
 }
 
 impl Style {
@@ -60,6 +68,9 @@ impl Style {
             Self::OtherPrimitives => "other".to_owned(),
             Self::Truth => "truth".to_owned(),
             Self::Estimate => "estimate".to_owned(),
+            Self::Covisible => "covisible".to_owned(),
+            Self::Tied => "tied".to_owned(),
+            Self::Keyframes => "keyframes".to_owned(),
         }
     }
 }
@@ -212,7 +223,8 @@ fn round_length(length: f64) -> f64 {
     [5.0, 2.0, 1.0].map(|digit| digit * power).into_iter().find(|round| *round <= length).unwrap_or(power)
 }
 
-fn escaped(text: &str) -> String {
+/// Text as it stands in a file.
+pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 

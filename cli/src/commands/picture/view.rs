@@ -42,6 +42,12 @@ impl TopView {
         Some(Self { right_in_world, up_the_page_in_world: up.cross(&right_in_world) })
     }
 
+    /// The same world seen from the side: what went up the page points away from who looks at it.
+    pub fn seen_from_the_side(self) -> Self {
+        let up = self.right_in_world.cross(&self.up_the_page_in_world);
+        Self { up_the_page_in_world: up, ..self }
+    }
+
     /// To the right and down the page, units of the world.
     pub fn seen(&self, point_in_world: &Vector3<f64>) -> [f64; 2] {
         [self.right_in_world.dot(point_in_world), -self.up_the_page_in_world.dot(point_in_world)]
@@ -124,6 +130,10 @@ mod tests {
             ([far[0] - origin[0], far[1] - origin[1]], [left[0] - origin[0], left[1] - origin[1]]);
         assert!(forward[0] * sideways[1] - forward[1] * sideways[0] < 0.0);
         assert!((sideways[0].hypot(sideways[1]) - 1.0).abs() < 1e-9, "height counts: {sideways:?}");
+        // From the side what is higher in the world is higher on the page.
+        let side = TopView::of(&poses, &[]).unwrap().seen_from_the_side();
+        let [low, high] = [[0.0, 0.0, 0.0], [0.0, 0.0, 3.0]].map(|place| side.seen(&Vector3::from(place)));
+        assert!((low[1] - high[1] - 3.0).abs() < 1e-9 && (low[0] - high[0]).abs() < 1e-9, "{low:?} {high:?}");
         assert!(TopView::of(&[], &[]).is_none());
     }
 

@@ -12,10 +12,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// From the center of the top-left pixel to its corner, pixels.
-const HALF_PIXEL: f64 = 0.5;
-
-/// Points have no color in the map.
-const GRAY: &str = "200 200 200";
+pub(super) const HALF_PIXEL: f64 = 0.5;
 
 /// COLMAP's mark for an error that was not computed.
 const NO_ERROR: &str = "-1";
@@ -23,8 +20,7 @@ const NO_ERROR: &str = "-1";
 pub(super) async fn write(export: &mut Export, part: ColmapPart) -> Result<(), ApiError> {
     match part {
         ColmapPart::Cameras => {
-            let record = export.snapshot.record();
-            let camera = camera_line(&record.refined_camera().unwrap_or_else(|| record.camera.clone()));
+            let camera = camera_line(&export.camera());
             let head = "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n";
             export.out.write(head).await?;
             export.out.write(&camera).await
@@ -83,17 +79,13 @@ async fn write_images(export: &mut Export) -> Result<(), ApiError> {
     export.out.write(head).await?;
     let seen_points = read_seen_points(export).await?;
     let [factor_x, factor_y] = full_from_working(export)?;
-    let wanted = export.submap;
     let mut after = None;
-    loop {
-        let records = export.snapshot.keyframes_after(after).await?;
-        let Some(last) = records.last() else { return Ok(()) };
-        after = Some(last.id);
-        for record in records.iter().filter(|record| wanted.is_none_or(|wanted| wanted == record.submap)) {
+    while let Some(records) = export.keyframes_after(&mut after).await? {
+        for record in &records {
             let pose = export.units.pose(&record.camera_from_world);
-            let id = record.id.get();
+            let (id, name) = (record.id.get(), export.image_name(record).await?);
             let mut text = format!(
-                "{id} {} {} {} {} {} {} {} 1 keyframe_{id:06}\n",
+                "{id} {} {} {} {} {} {} {} 1 {name}\n",
                 pose.qw, pose.qx, pose.qy, pose.qz, pose.tx, pose.ty, pose.tz
             );
             let seen = seen_points.get(&record.id);
@@ -110,6 +102,7 @@ async fn write_images(export: &mut Export) -> Result<(), ApiError> {
             export.out.write(&text).await?;
         }
     }
+    Ok(())
 }
 
 /// Pixels of the session's camera per pixel of the working image that keypoints are measured in.
@@ -130,10 +123,11 @@ async fn write_points(export: &mut Export) -> Result<(), ApiError> {
         let points = export.snapshot.points_after(after, export.submap).await?;
         let Some(last) = points.last() else { return Ok(()) };
         after = Some(last.id);
+        let grays = export.grays(&points).await?;
         let mut text = String::new();
-        for point in &points {
+        for (point, gray) in points.iter().zip(grays) {
             let [x, y, z] = export.units.position(&point.position);
-            let _ = write!(text, "{} {x} {y} {z} {GRAY} {NO_ERROR}", point.id);
+            let _ = write!(text, "{} {x} {y} {z} {gray} {gray} {gray} {NO_ERROR}", point.id);
             for seen in &point.observations {
                 let _ = write!(text, " {} {}", seen.keyframe, seen.feature_idx);
             }

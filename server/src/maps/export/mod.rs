@@ -5,20 +5,27 @@
 //! the client: a slow client keeps neither the database's log from being folded nor the map in memory.
 
 mod colmap;
+mod foxglove;
 mod json;
+mod mcap;
 mod ply;
 mod spool;
+mod transforms;
 
 use super::MapQueries;
+use super::observed::working_camera;
+use super::shades::{ShadedSession, Shades};
 use crate::error::ApiError;
 use crate::model::Units;
 use crate::session::SessionId;
 use bytes::Bytes;
 use futures_util::Stream;
-use slam::map::SubmapId;
+use geometry::CameraParameters;
+use slam::map::{PointLandmark, SubmapId};
 use spool::Spool;
 use std::collections::BTreeMap;
-use store::MapSnapshot;
+use std::sync::Arc;
+use store::{KeyframeRecord, MapSnapshot, Store};
 
 /// How a map is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,6 +36,10 @@ pub enum MapFormat {
     Json,
     /// A file of COLMAP's text model.
     Colmap(ColmapPart),
+    /// `transforms.json` of nerfstudio and instant-ngp: the camera and a pose for each keyframe's image.
+    Transforms,
+    /// MCAP with the schemas of Foxglove: points, lines, the camera's way and the keyframes' images.
+    Mcap,
 }
 
 /// A file of a COLMAP text model.
@@ -78,7 +89,13 @@ impl MapQueries {
         let snapshot = self.store.snapshot(id.as_str()).await?;
         let units = Units::new(snapshot.record().metres_per_unit);
         let out = Spool::new(self.export_dir.clone()).await?;
-        let mut export = Export { units, snapshot, submap, out };
+        let session = ShadedSession {
+            id: id.clone(),
+            created_at_ns: snapshot.record().created_at_ns,
+            working_width_px: working_camera(snapshot.record())?.width(),
+        };
+        let (store, shades) = (self.store.clone(), self.shades.clone());
+        let mut export = Export { units, snapshot, submap, out, store, shades, session };
         if submap.is_none() && format != MapFormat::Json {
             export.submap = Some(export.largest_submap().await?);
         }
@@ -86,6 +103,8 @@ impl MapQueries {
             MapFormat::Ply => ply::write(&mut export).await?,
             MapFormat::Json => json::write(&mut export).await?,
             MapFormat::Colmap(part) => colmap::write(&mut export, part).await?,
+            MapFormat::Transforms => transforms::write(&mut export).await?,
+            MapFormat::Mcap => mcap::write(&mut export).await?,
         }
         // The snapshot ends here, before the client reads the first byte.
         let Export { out: spool, .. } = export;
@@ -97,8 +116,8 @@ impl MapQueries {
 impl MapFormat {
     fn media_type(self) -> &'static str {
         match self {
-            Self::Ply => "application/octet-stream",
-            Self::Json => "application/json",
+            Self::Ply | Self::Mcap => "application/octet-stream",
+            Self::Json | Self::Transforms => "application/json",
             Self::Colmap(_) => "text/plain; charset=utf-8",
         }
     }
@@ -107,6 +126,8 @@ impl MapFormat {
         match self {
             Self::Ply => format!("{id}.ply"),
             Self::Json => format!("{id}.json"),
+            Self::Mcap => format!("{id}.mcap"),
+            Self::Transforms => "transforms.json".to_owned(),
             Self::Colmap(ColmapPart::Cameras) => "cameras.txt".to_owned(),
             Self::Colmap(ColmapPart::Images) => "images.txt".to_owned(),
             Self::Colmap(ColmapPart::Points3D) => "points3D.txt".to_owned(),
@@ -121,9 +142,50 @@ struct Export {
     /// The submap wanted; `None` for all.
     submap: Option<SubmapId>,
     out: Spool,
+    store: Store,
+    shades: Arc<Shades>,
+    session: ShadedSession,
 }
 
+/// The gray of points that no kept image shows.
+const GRAY: u8 = 200;
+
 impl Export {
+    /// The camera the map was made with.
+    fn camera(&self) -> CameraParameters {
+        let record = self.snapshot.record();
+        record.refined_camera().unwrap_or_else(|| record.camera.clone())
+    }
+
+    /// How bright the images are where they show these points.
+    async fn grays(&self, points: &[PointLandmark]) -> Result<Vec<u8>, ApiError> {
+        let grays = self.shades.of_points(&self.store, &self.session, points).await?;
+        Ok(grays.into_iter().map(|gray| gray.unwrap_or(GRAY)).collect())
+    }
+
+    /// The wanted keyframes with ids above the given one, and the id to go on with; `None` at the end.
+    async fn keyframes_after(
+        &mut self,
+        after: &mut Option<slam::map::KeyframeId>,
+    ) -> Result<Option<Vec<KeyframeRecord>>, ApiError> {
+        let mut records = self.snapshot.keyframes_after(*after).await?;
+        let Some(last) = records.last() else { return Ok(None) };
+        *after = Some(last.id);
+        records.retain(|record| self.wants(record.submap));
+        Ok(Some(records))
+    }
+
+    /// What the file of a keyframe's image is called.
+    async fn image_name(&mut self, keyframe: &KeyframeRecord) -> Result<String, ApiError> {
+        let media_type = self.snapshot.image_media_type(keyframe.id).await?;
+        let extension = match media_type.as_deref() {
+            Some("image/jpeg") => ".jpg",
+            Some("image/png") => ".png",
+            _ => "",
+        };
+        Ok(format!("keyframe_{:06}{extension}", keyframe.id.get()))
+    }
+
     /// The submap with the most keyframes, of equal ones the first.
     async fn largest_submap(&mut self) -> Result<SubmapId, ApiError> {
         let mut n_keyframes: BTreeMap<SubmapId, usize> = BTreeMap::new();

@@ -7,12 +7,10 @@ use crate::model::Scale;
 use slam::map::PrimitiveId;
 use std::fmt::Write;
 
-type Color = [u8; 3];
+pub(super) type Color = [u8; 3];
 
-/// Points.
-const GRAY: Color = [200, 200, 200];
 /// Lines without a primitive.
-const BLUE: Color = [70, 130, 220];
+pub(super) const BLUE: Color = [70, 130, 220];
 /// Lines with one: colors that follow one another differ clearly.
 const PALETTE: [Color; 6] =
     [[230, 60, 60], [60, 180, 75], [245, 165, 30], [150, 60, 200], [70, 200, 200], [220, 90, 180]];
@@ -46,8 +44,11 @@ async fn write_points(export: &mut Export) -> Result<(), ApiError> {
         let points = export.snapshot.points_after(after, export.submap).await?;
         let Some(last) = points.last() else { return Ok(()) };
         after = Some(last.id);
+        let grays = export.grays(&points).await?;
         let mut text = String::new();
-        points.iter().for_each(|point| push_vertex(&mut text, export.units.position(&point.position), GRAY));
+        for (point, gray) in points.iter().zip(grays) {
+            push_vertex(&mut text, export.units.position(&point.position), [gray; 3]);
+        }
         export.out.write(&text).await?;
     }
 }
@@ -67,7 +68,8 @@ async fn write_ends(export: &mut Export) -> Result<(), ApiError> {
     }
 }
 
-fn color_of(primitive: PrimitiveId) -> Color {
+/// The color of a primitive's lines.
+pub(super) fn color_of(primitive: PrimitiveId) -> Color {
     PALETTE[(primitive.get() % PALETTE.len() as u64) as usize]
 }
 

@@ -17,7 +17,7 @@ const CHUNK_BYTES: usize = 64 << 10;
 /// ends.
 pub(super) struct Spool {
     file: File,
-    buffer: String,
+    buffer: Vec<u8>,
     n_bytes: u64,
 }
 
@@ -26,18 +26,23 @@ impl Spool {
     pub async fn new(folder: PathBuf) -> Result<Self, ApiError> {
         let made = tokio::task::spawn_blocking(move || tempfile::tempfile_in(folder)).await;
         let file = made.map_err(ApiError::internal)?.map_err(failed)?;
-        Ok(Self { file: File::from_std(file), buffer: String::new(), n_bytes: 0 })
+        Ok(Self { file: File::from_std(file), buffer: Vec::new(), n_bytes: 0 })
     }
 
     /// Appends text.
     pub async fn write(&mut self, text: &str) -> Result<(), ApiError> {
-        self.buffer.push_str(text);
-        self.n_bytes += text.len() as u64;
+        self.write_bytes(text.as_bytes()).await
+    }
+
+    /// Appends bytes.
+    pub async fn write_bytes(&mut self, bytes: &[u8]) -> Result<(), ApiError> {
+        self.buffer.extend_from_slice(bytes);
+        self.n_bytes += bytes.len() as u64;
         if self.buffer.len() >= CHUNK_BYTES { self.flush().await } else { Ok(()) }
     }
 
     async fn flush(&mut self) -> Result<(), ApiError> {
-        self.file.write_all(self.buffer.as_bytes()).await.map_err(failed)?;
+        self.file.write_all(&self.buffer).await.map_err(failed)?;
         self.buffer.clear();
         Ok(())
     }

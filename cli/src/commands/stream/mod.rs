@@ -1,36 +1,38 @@
-//! `monoslam stream`: streams a recording into a session.
+//! `monoslam stream`: streams a recording, a video or a camera into a session.
+
+mod input;
 
 use std::ops::Range;
-use std::path::PathBuf;
 use std::sync::Arc;
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, anyhow, bail, ensure};
 use clap::{Args, ValueEnum};
 use client::{
     FrameSource, Pacing, Placement, SessionEnd, SlamClient, StreamPlan, StreamSummary, camera_message,
     stream_frames,
 };
+use input::{Input, InputArgs};
 use proto::v1;
-use recordings::{Layout, Recording, find_folder};
 
 use super::progress::Progress;
-use super::{ServerArgs, positive, report, session_id};
+use super::{ServerArgs, positive, session_id, summary};
 
 /// What to stream, where to, and how.
 #[derive(Debug, Args)]
 pub struct StreamArgs {
-    /// Folder of the recording; also looked for in the folder that MONOSLAM_DATA names
-    #[arg(value_name = "DATASET")]
-    dataset: PathBuf,
+    #[command(flatten)]
+    input: InputArgs,
     #[command(flatten)]
     server: ServerArgs,
     /// The session; it is made if there is none of this name [default: a new one, named by the server]
     #[arg(long, value_name = "NAME", value_parser = session_id)]
     session: Option<String>,
     /// What the server does when frames come faster than it tracks: hold them back, or drop the oldest
-    #[arg(long, value_enum, default_value = "lossless")]
-    policy: Policy,
-    /// Frames per second [default: as fast as they are taken, or as recorded if realtime]
+    /// [default: lossless; realtime for a camera]
+    #[arg(long, value_enum)]
+    policy: Option<Policy>,
+    /// Frames per second [default: as fast as they are taken, or as recorded if realtime]. Of images on
+    /// standard input it is also what their times are made from
     #[arg(long, value_name = "N", value_parser = positive)]
     fps: Option<f64>,
     /// First frame to stream, counted from zero
@@ -41,9 +43,6 @@ pub struct StreamArgs {
     end: Option<usize>,
     #[command(flatten)]
     options: OptionArgs,
-    /// Layout of the recording: folder, euroc, kitti, tum or icl [default: recognized]
-    #[arg(long, value_name = "L")]
-    layout: Option<Layout>,
     /// End the stream of another client that is streaming into the session
     #[arg(long)]
     take_over: bool,
@@ -105,27 +104,60 @@ impl OptionArgs {
 
 /// Streams it.
 pub async fn run(args: StreamArgs) -> Result<()> {
-    let recording = Recording::open(&find_folder(&args.dataset)?, args.layout)?;
-    let range = args.start..args.end.unwrap_or(usize::MAX).min(recording.frames.len());
+    let input = input::open(&args.input, args.fps)?;
+    let source = input.source.clone();
+    let n_frames = source.n_frames();
+    let range = args.start..args.end.unwrap_or(usize::MAX).min(n_frames.unwrap_or(usize::MAX));
     ensure!(
         !range.is_empty(),
-        "no frames from {} on before {}: the recording has {}",
+        "no frames from {} on before {}: {} has {}",
         range.start,
         range.end,
-        recording.frames.len()
+        input.name,
+        n_frames.map_or_else(|| "more".to_owned(), |n| n.to_string())
     );
     let mut client = args.server.connect().await?;
-    let session = open_session(&mut client, &args, &recording).await?;
-    let source: Arc<dyn FrameSource> = Arc::new(recording);
-    let placement = place(&session, source.as_ref(), &range, args.again);
+    let session = open_session(&mut client, &args, &input).await?;
+    // The source may have to read up to the frame at which the session ends.
+    let placing = {
+        let (session, source, range, again) = (session.clone(), source.clone(), range.clone(), args.again);
+        tokio::task::spawn_blocking(move || place(&session, source.as_ref(), &range, again))
+    };
+    let placement = placing.await??;
     let range = remaining(&session, placement, range);
-    let plan = StreamPlan {
+    let plan = plan(&args, &session, source.as_ref(), range, placement);
+    input.stop_on_interrupt();
+    let streamed = stream_with_progress(&mut client, &source, &plan).await?;
+    if let Some(remark) = input.remark() {
+        eprintln!("{remark}");
+    }
+    if args.json {
+        println!("{}", serde_json::to_string(&streamed)?);
+    } else {
+        print!("{}", summary::table(&streamed));
+    }
+    ensure!(streamed.rejected == 0, "{} of {} frames were rejected", streamed.rejected, streamed.frames);
+    Ok(())
+}
+
+fn plan(
+    args: &StreamArgs,
+    session: &v1::Session,
+    source: &dyn FrameSource,
+    range: Range<usize>,
+    placement: Placement,
+) -> StreamPlan {
+    let is_live = source.is_live();
+    let policy = args.policy.unwrap_or(if is_live { Policy::Realtime } else { Policy::Lossless });
+    StreamPlan {
         session_id: session.id.clone(),
-        policy: match args.policy {
+        policy: match policy {
             Policy::Lossless => v1::StreamPolicy::Lossless,
             Policy::Realtime => v1::StreamPolicy::Realtime,
         },
-        pacing: match (args.fps, args.policy) {
+        pacing: match (args.fps, policy) {
+            // A camera sets the pace itself.
+            _ if is_live => Pacing::Unpaced,
             (Some(rate), _) => Pacing::FramesPerSecond(rate),
             (None, Policy::Realtime) => Pacing::Recorded,
             (None, Policy::Lossless) => Pacing::Unpaced,
@@ -133,15 +165,7 @@ pub async fn run(args: StreamArgs) -> Result<()> {
         range,
         placement,
         take_over: args.take_over,
-    };
-    let summary = stream_with_progress(&mut client, &source, &plan).await?;
-    if args.json {
-        println!("{}", serde_json::to_string(&summary)?);
-    } else {
-        print!("{}", report::summary(&summary));
     }
-    ensure!(summary.rejected == 0, "{} of {} frames were rejected", summary.rejected, summary.frames);
-    Ok(())
 }
 
 /// Streams the frames of a plan under a progress bar.
@@ -150,24 +174,21 @@ pub async fn stream_with_progress(
     source: &Arc<dyn FrameSource>,
     plan: &StreamPlan,
 ) -> Result<StreamSummary> {
-    let mut progress = Progress::new(plan.range.start, plan.range.len());
+    let n_frames = (plan.range.end < usize::MAX).then(|| plan.range.len());
+    let mut progress = Progress::new(plan.range.start, n_frames);
     let streamed = stream_frames(client, source, plan, |event| progress.show(&event)).await;
     progress.finish();
     Ok(streamed?)
 }
 
 /// The session of that name, made if there is none.
-async fn open_session(
-    client: &mut SlamClient,
-    args: &StreamArgs,
-    recording: &Recording,
-) -> Result<v1::Session> {
-    let camera = camera_message(recording.camera.parameters());
+async fn open_session(client: &mut SlamClient, args: &StreamArgs, input: &Input) -> Result<v1::Session> {
+    let camera = camera_message(&input.camera);
     if let Some(name) = &args.session
         && let Some(session) = client.session(name).await?
     {
         if session.camera.as_ref() != Some(&camera) {
-            bail!("the session `{name}` was made for another camera than that of {}", args.dataset.display());
+            bail!("the session `{name}` was made for another camera than that of {}", input.name);
         }
         if args.options.message() != v1::SessionOptions::default() {
             eprintln!("the session `{name}` is there already and keeps the options it was made with");
@@ -175,15 +196,20 @@ async fn open_session(
         return Ok(session);
     }
     let name = args.session.as_deref().unwrap_or_default();
-    Ok(client.create_session(name, recording.camera.parameters(), args.options.message()).await?)
+    Ok(client.create_session(name, &input.camera, args.options.message()).await?)
 }
 
-/// Where in the session the recording goes.
-fn place(session: &v1::Session, source: &dyn FrameSource, range: &Range<usize>, again: bool) -> Placement {
+/// Where in the session the frames go.
+fn place(
+    session: &v1::Session,
+    source: &dyn FrameSource,
+    range: &Range<usize>,
+    again: bool,
+) -> Result<Placement> {
     let last_sequence = session.next_sequence.checked_sub(1);
     let last_frame = last_sequence.zip(session.last_timestamp_ns);
     let end = SessionEnd { next_sequence: session.next_sequence, last_frame };
-    Placement::in_session(end, source, range, again)
+    Placement::in_session(end, source, range, again).map_err(|refused| anyhow!("{refused}"))
 }
 
 /// The frames of the range that the session does not have yet.
@@ -191,11 +217,10 @@ fn remaining(session: &v1::Session, placement: Placement, range: Range<usize>) -
     let next_idx = placement.frame_idx(session.next_sequence);
     let remaining = range.start.max(next_idx).min(range.end)..range.end;
     if remaining.start > range.start {
+        let n_there = remaining.start - range.start;
         eprintln!(
-            "the session `{}` has {} of these {} frames already and goes on behind them",
-            session.id,
-            remaining.start - range.start,
-            range.len()
+            "the session `{}` has {n_there} of these frames already and goes on behind them",
+            session.id
         );
     }
     remaining

@@ -3,7 +3,7 @@
 use client::{CameraFinding, Distribution, StreamSummary};
 
 /// A table of what became of the frames, what the session holds, and where the time went.
-pub fn summary(s: &StreamSummary) -> String {
+pub fn table(s: &StreamSummary) -> String {
     let mut text = String::new();
     let mut row = |name: &str, value: String| text.push_str(&format!("{name:<26} {value}\n"));
     row("session", s.session.clone());
