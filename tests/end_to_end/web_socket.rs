@@ -165,3 +165,20 @@ async fn what_is_no_stream_of_ours_is_refused_by_status() {
     let problem: Value = plain.json().await.unwrap();
     assert_eq!(problem["violations"][0]["field"], "upgrade");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_stops_says_so_and_saves_what_it_was_sent() {
+    let world = SmallWorld::new(1);
+    let (server, client) = room(&world).await;
+    let mut socket = Socket::open(&server, "").await;
+    assert_eq!(socket.next_type().await, "opened");
+    socket.send(0, world.frame(0).timestamp_ns, &image(&world, 0)).await;
+    assert_eq!(socket.next_type().await, "result");
+    drop(client);
+    let restarting = tokio::spawn(server.restart());
+    let error = socket.next().await.unwrap();
+    assert_eq!((&error["type"], &error["problem"]["code"]), (&"error".into(), &"SHUTTING_DOWN".into()));
+    assert_eq!(socket.next_type().await, "closed");
+    let server = restarting.await.expect("it shuts down in order, with nothing abandoned, and starts again");
+    assert_eq!(server.get_json("/v1/sessions/room").await["durable_sequence"], 0);
+}
