@@ -164,7 +164,7 @@ mod tests {
         let width_px = 640.0;
         assert!(!is_kept(300, 300, 0.07 * width_px), "plenty of landmarks: more work and no gain");
         assert!(is_kept(150, 150, 0.07 * width_px));
-        assert!(!is_kept(150, 150, 0.04 * width_px));
+        assert!(!is_kept(150, 150, 0.03 * width_px));
         assert!(is_kept(300, 300, 0.11 * width_px));
     }
 
