@@ -53,15 +53,23 @@ pub fn pose_errors(truth: &Trajectory, estimate: &Trajectory, max_dt_ns: i64) ->
         return Vec::new();
     };
     let path: f64 = true_positions.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-    let turn = UnitQuaternion::mean_of(
-        pairs.iter().map(|(_, truth, estimate)| truth.rotation * estimate.rotation.inverse()),
-    );
+    let turn =
+        mean_rotation(pairs.iter().map(|(_, truth, estimate)| truth.rotation * estimate.rotation.inverse()));
     let error = |(timestamp_ns, truth, estimate): &(i64, Pose, Pose)| PoseError {
         timestamp_ns: *timestamp_ns,
         position_share: (truth.translation - truth_from_estimate * estimate.translation).norm() / path,
         attitude_deg: truth.rotation.angle_to(&(turn * estimate.rotation)).to_degrees(),
     };
     pairs.iter().map(error).collect()
+}
+
+/// The rotation whose quaternion is nearest to all of them.
+fn mean_rotation(rotations: impl Iterator<Item = UnitQuaternion<f64>>) -> UnitQuaternion<f64> {
+    let sum = rotations.map(|rotation| rotation.into_inner()).reduce(|sum, quaternion| {
+        // A quaternion and its negative are the same rotation.
+        sum + if sum.dot(&quaternion) < 0.0 { -quaternion } else { quaternion }
+    });
+    sum.map_or_else(UnitQuaternion::identity, UnitQuaternion::from_quaternion)
 }
 
 #[cfg(test)]
@@ -89,6 +97,18 @@ mod tests {
             errors.iter().filter(|error| error.is_wrong()).map(|error| error.timestamp_ns).collect();
         assert_eq!(wrong, [40, 41, 42, 43, 44]);
         assert!(errors.iter().all(|error| error.position_share < 1e-9));
+    }
+
+    #[test]
+    fn an_estimate_in_a_frame_of_its_own_has_no_errors() {
+        let truth = circle(0..0, 0.0);
+        let turn = Pose::new(so3::exp(&Vector3::new(0.3, -2.0, 1.1)), Vector3::new(1.0, 2.0, 3.0));
+        let turned =
+            |pose: &StampedPose| StampedPose { world_from_camera: turn * pose.world_from_camera, ..*pose };
+        let estimate = Trajectory::new(truth.poses().iter().map(turned).collect());
+        let errors = pose_errors(&truth, &estimate, 0);
+        assert_eq!(errors.len(), 100);
+        assert!(errors.iter().all(|error| error.attitude_deg < 1e-5 && error.position_share < 1e-9));
     }
 
     #[test]

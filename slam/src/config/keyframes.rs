@@ -17,6 +17,13 @@ pub struct KeyframeConfig {
     /// Default 0.1: points that two keyframes have made are known well once a third sees them from
     /// elsewhere.
     pub ample_displacement: f64,
+    /// With fewer landmarks than this found, a smaller way is enough. Default 250.
+    pub scarce_landmarks: usize,
+    /// That smaller way, as a share of the image's width. Default 0.04.
+    pub scarce_displacement: f64,
+    /// And a frame is kept at once that finds less than this share of the most found since the last keyframe.
+    /// Default 0.5.
+    pub fallen_share: f64,
     /// The same share once `max_interval_ns` have gone by. Default 0.97: a slow camera still refreshes the
     /// map.
     pub max_tracked_share_after_wait: f64,
@@ -45,6 +52,9 @@ impl Default for KeyframeConfig {
             urgent_tracked_share: 0.6,
             urgent_displacement: 0.015,
             ample_displacement: 0.1,
+            scarce_landmarks: 250,
+            scarce_displacement: 0.04,
+            fallen_share: 0.5,
             plentiful_points: 100,
             min_followed_segments: 6,
             risen_segments_share: 1.3,

@@ -21,6 +21,8 @@ pub(super) struct LastKeyframe {
     pixels: BTreeMap<PointId, Vector2<f64>>,
     /// Where the middles of its segments were, by track, undistorted pixels.
     midpoints: BTreeMap<u64, Vector2<f64>>,
+    /// The most landmarks that a frame has found since.
+    most_found: usize,
 }
 
 impl LastKeyframe {
@@ -29,7 +31,12 @@ impl LastKeyframe {
         let pixels = seen.filter_map(|(idx, id)| Some(((*id)?, frame.features.undistorted[idx]))).collect();
         let segments = frame.features.lines.iter();
         let midpoints = segments.map(|segment| (segment.track, segment.midpoint())).collect();
-        Self { timestamp_ns: frame.timestamp_ns, pixels, midpoints }
+        Self { timestamp_ns: frame.timestamp_ns, pixels, midpoints, most_found: 0 }
+    }
+
+    /// Notes how many landmarks a frame has found.
+    pub fn note_found(&mut self, n_found: usize) {
+        self.most_found = self.most_found.max(n_found);
     }
 
     /// Median distance that common points and segments moved in the image, as a share of its width; infinite
@@ -82,7 +89,11 @@ pub(super) fn wants_keyframe(
     if displacement > config.min_displacement && lines_are_needed(config, frame, inliers, last) {
         return true;
     }
-    displacement > config.ample_displacement
+    let is_scarce = inliers.total() < config.scarce_landmarks;
+    if is_scarce && (inliers.total() as f64) < config.fallen_share * last.most_found as f64 {
+        return true;
+    }
+    displacement > if is_scarce { config.scarce_displacement } else { config.ample_displacement }
         || share < config.max_tracked_share && displacement > config.min_displacement
         || share < config.urgent_tracked_share && displacement > config.urgent_displacement
 }
@@ -110,4 +121,57 @@ fn lines_are_needed(
 fn tracked_share(map: &Map, reference: KeyframeId, n_inliers: usize) -> f64 {
     let min_observations = ESTABLISHED_OBSERVATIONS.min(map.n_keyframes());
     n_inliers as f64 / n_established_points(map, reference, min_observations).max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::{FrameFeatures, View};
+    use crate::map::SubmapId;
+    use crate::test_fixtures::{camera, pyramid};
+    use geometry::Pose;
+    use std::sync::Arc;
+    use vision::{Descriptor, Keypoint};
+
+    const N_COMMON: usize = 40;
+
+    /// A frame that sees forty landmarks, so far to the right of where they were.
+    fn frame(shift_px: f32) -> TrackedFrame {
+        let keypoint =
+            |x: f32| Keypoint { x: 100.0 + x + shift_px, y: 100.0, octave: 0, angle: 0.0, response: 30.0 };
+        let keypoints = (0..N_COMMON).map(|idx| keypoint(10.0 * idx as f32)).collect();
+        let descriptors = vec![Descriptor([0; 4]); N_COMMON];
+        let features =
+            Arc::new(FrameFeatures::from_parts(keypoints, descriptors, &camera(), pyramid()).unwrap());
+        let view = View { sequence: 0, timestamp_ns: 0, features };
+        let mut frame =
+            TrackedFrame::blank(&view, Pose::identity(), KeyframeId::from_index(0), SubmapId::default());
+        frame.points = (0..N_COMMON).map(|idx| Some(PointId::from_index(idx))).collect();
+        frame
+    }
+
+    /// Whether a frame is kept that finds so many points after so many were found.
+    fn is_kept(n_points: usize, most_found: usize, shift_px: f32) -> bool {
+        let mut last = LastKeyframe::of(&frame(0.0));
+        last.note_found(most_found);
+        let inliers = Inliers { n_points, n_lines: 0 };
+        let config = KeyframeConfig::default();
+        wants_keyframe(&config, &Map::default(), &frame(shift_px), inliers, Some(&last), None)
+    }
+
+    #[test]
+    fn where_landmarks_are_scarce_a_smaller_way_is_enough() {
+        let width_px = 640.0;
+        assert!(!is_kept(300, 300, 0.07 * width_px), "plenty of landmarks: more work and no gain");
+        assert!(is_kept(150, 150, 0.07 * width_px));
+        assert!(!is_kept(150, 150, 0.03 * width_px));
+        assert!(is_kept(300, 300, 0.11 * width_px));
+    }
+
+    #[test]
+    fn a_frame_is_kept_before_the_last_landmarks_are_gone() {
+        assert!(is_kept(43, 93, 0.0));
+        assert!(!is_kept(65, 93, 0.0));
+        assert!(!is_kept(250, 600, 0.0), "these are enough");
+    }
 }

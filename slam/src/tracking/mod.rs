@@ -229,6 +229,9 @@ impl Tracker {
         if let TrackingOutcome::Lost(reason) = outcome {
             return self.lose(frame.timestamp_ns, reason);
         }
+        if let Some(last_keyframe) = &mut self.last_keyframe {
+            last_keyframe.note_found(inliers.total());
+        }
         let relocalized = start == PoseStart::Relocalized;
         if let Some(n) = self.n_since_relocalization.as_mut().filter(|_| !relocalized) {
             *n += 1;
