@@ -138,6 +138,10 @@ def test_maps_are_exported(mapped: Mapped, tmp_path: Path) -> None:
     assert ply.read_bytes().startswith(b"ply\n")
     [document] = mapped.client.export(mapped.id, "json", tmp_path / "room.json")
     assert b'"points"' in document.read_bytes()
+    [log] = mapped.client.export(mapped.id, "mcap", tmp_path / "room.mcap")
+    assert log.read_bytes().startswith(b"\x89MCAP0")
+    [transforms] = mapped.client.export(mapped.id, "transforms", tmp_path / "transforms.json")
+    assert b'"frames"' in transforms.read_bytes()
     model = mapped.client.export(mapped.id, "colmap", tmp_path / "model")
     assert [file.name for file in model] == ["cameras.txt", "images.txt", "points3D.txt"]
     assert all(file.stat().st_size > 0 for file in model)

@@ -219,8 +219,8 @@ class Client:
         *,
         submap_id: int | None = None,
     ) -> list[Path]:
-        """Writes the map: "ply" and "json" to a file of that path, "colmap" as three text files into a folder
-        of that path. Returns what was written."""
+        """Writes the map to a file of that path: "ply", "json", "mcap" for Foxglove, "transforms" for nerfstudio;
+        "colmap" as three text files into a folder of that path. Returns what was written."""
         written: list[Path] = []
         for number in _wire.FORMATS[format]:
             request = pb.ExportMapRequest(session_id=session_id, format=number, submap_id=submap_id)

@@ -53,13 +53,15 @@ Policy = Literal["lossless", "realtime"]
 oldest."""
 Mode = Literal["map", "localize"]
 """Whether frames extend the map, or are only located in it."""
-MapFormat = Literal["ply", "json", "colmap"]
+MapFormat = Literal["ply", "json", "colmap", "mcap", "transforms"]
 
 _POLICIES = {"lossless": pb.STREAM_POLICY_LOSSLESS, "realtime": pb.STREAM_POLICY_REALTIME}
 _MODES = {"map": pb.STREAM_MODE_MAP_AND_LOCALIZE, "localize": pb.STREAM_MODE_LOCALIZE_ONLY}
 FORMATS = {
     "ply": [pb.MAP_FORMAT_PLY],
     "json": [pb.MAP_FORMAT_JSON],
+    "mcap": [pb.MAP_FORMAT_MCAP],
+    "transforms": [pb.MAP_FORMAT_TRANSFORMS],
     "colmap": [pb.MAP_FORMAT_COLMAP_CAMERAS, pb.MAP_FORMAT_COLMAP_IMAGES, pb.MAP_FORMAT_COLMAP_POINTS3D],
 }
 

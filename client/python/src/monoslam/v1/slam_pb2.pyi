@@ -67,6 +67,8 @@ class MapFormat(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     MAP_FORMAT_COLMAP_CAMERAS: _ClassVar[MapFormat]
     MAP_FORMAT_COLMAP_IMAGES: _ClassVar[MapFormat]
     MAP_FORMAT_COLMAP_POINTS3D: _ClassVar[MapFormat]
+    MAP_FORMAT_TRANSFORMS: _ClassVar[MapFormat]
+    MAP_FORMAT_MCAP: _ClassVar[MapFormat]
 CAMERA_MODEL_UNSPECIFIED: CameraModel
 CAMERA_MODEL_PINHOLE: CameraModel
 CAMERA_MODEL_RADTAN: CameraModel
@@ -104,6 +106,8 @@ MAP_FORMAT_JSON: MapFormat
 MAP_FORMAT_COLMAP_CAMERAS: MapFormat
 MAP_FORMAT_COLMAP_IMAGES: MapFormat
 MAP_FORMAT_COLMAP_POINTS3D: MapFormat
+MAP_FORMAT_TRANSFORMS: MapFormat
+MAP_FORMAT_MCAP: MapFormat
 
 class Camera(_message.Message):
     __slots__ = ("model", "width", "height", "fx", "fy", "cx", "cy", "distortion")
