@@ -53,13 +53,13 @@ installed() {
 
 # python_packages: whether there is a Python with the packages of the tests, after an attempt to make one.
 python_packages() {
-  [ -z "${MONOSLAM_PYTHON:-}" ] || return 0
+  [ -z "${READERS_PYTHON:-}" ] || return 0
   local folder=target/python
   if ! "$folder/bin/python" -c "import mcap, plyfile, pycolmap" 2>/dev/null; then
     python3 -m venv "$folder" && "$folder/bin/pip" install --quiet -r cli/tests/requirements.txt || return 1
   fi
-  MONOSLAM_PYTHON=$PWD/$folder/bin/python
-  export MONOSLAM_PYTHON
+  READERS_PYTHON=$PWD/$folder/bin/python
+  export READERS_PYTHON
 }
 
 # Recordings to test with: not in the repository. Tests that need them are ignored where they are absent.

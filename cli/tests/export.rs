@@ -73,11 +73,11 @@ async fn what_cannot_be_exported_is_said_and_leaves_nothing() {
 /// Real readers: `mcap` (the schemas and topics that Foxglove expects, and what is in the messages),
 /// `pycolmap`, and a reader of PLY, on what was written.
 #[tokio::test(flavor = "multi_thread")]
-#[ignore = "needs Python packages: set MONOSLAM_PYTHON"]
+#[ignore = "needs Python packages: set READERS_PYTHON"]
 async fn other_programs_read_the_exports() {
     let stage = mapped().await;
     export_all(&stage).await;
-    let python = std::env::var("MONOSLAM_PYTHON").expect("MONOSLAM_PYTHON names a Python with the packages");
+    let python = std::env::var("READERS_PYTHON").expect("READERS_PYTHON names a Python with the packages");
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/read_exports.py");
     let output = Command::new(python).arg(script).arg(stage.path("")).output().await.unwrap();
     let said =
