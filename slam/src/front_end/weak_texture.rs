@@ -26,8 +26,8 @@ pub(crate) enum CameraState {
 /// Decides whether a session's images are amplified. Descriptors of amplified images are matched with those
 /// of others less well, so the decision holds until the scene has clearly changed.
 ///
-/// The state is not stored. A lost camera is looked for both ways, as its images need it: so a resumed session
-/// finds out what its map was made of.
+/// The state is not stored. A lost camera is looked for both ways, as its images need it: so a resumed
+/// session finds out what its map was made of.
 #[derive(Debug)]
 pub(super) struct WeakTexture {
     amplifier: ContrastAmplifier,

@@ -231,8 +231,8 @@ impl Tracker {
 }
 
 impl LastFrame {
-    /// Whether the recording seems to be cut after this frame: the way to the next, and the time it took, is no
-    /// motion that could go on.
+    /// Whether the recording seems to be cut after this frame: the way to the next, and the time it took, is
+    /// no motion that could go on.
     pub fn is_cut_before(&self, (motion, interval_ns): &(Pose, i64)) -> bool {
         let speed = |motion: &Pose, interval_ns: i64| motion.translation.norm() / interval_ns.abs() as f64;
         self.motion.as_ref().is_some_and(|(before, before_ns)| {

@@ -4,8 +4,8 @@
 //! [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--no-calibration] [--verbose] [--states]`
 //!
 //! The dataset is a folder of a layout that `monoslam` reads, also looked for in the folder that
-//! `MONOSLAM_DATA` names. `--states` prints how many frames of each state are wrong, where the recording has a
-//! truth. Through the service, and measured against the truth, is the business of `monoslam`.
+//! `MONOSLAM_DATA` names. `--states` prints how many frames of each state are wrong, where the recording has
+//! a truth. Through the service, and measured against the truth, is the business of `monoslam`.
 
 mod states;
 
