@@ -23,7 +23,8 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 /// ever.
 const FOR_EVER: &str = "public, max-age=31536000, immutable";
 
-/// The text of the viewer's file with such an extension, `.js` or `.css`: it has one of each, which needs no other.
+/// The text of the viewer's file with such an extension, `.js` or `.css`: it has one of each, which needs no
+/// other.
 pub fn viewer_file(extension: &str) -> Option<&'static str> {
     let mut files = FILES.get_dir("assets")?.files();
     let is_wanted = |path: &str| path.starts_with("assets/index-") && path.ends_with(extension);
