@@ -4,7 +4,7 @@
 //! * [`stream_frames`]: streams a [`FrameSource`], such as a [`Recording`], until every frame is answered and
 //!   saved. A connection that breaks is made again; each frame is mapped exactly once.
 //! * [`Sequential`]: a source of what is read in turn, such as a video ([`Ffmpeg`]), a robot's recording
-//!   ([`Bag`]) or a camera of your own ([`FrameReader`]).
+//!   (`Bag`, by the feature `bags`) or a camera of your own ([`FrameReader`]).
 //! * [`HttpClient`]: trajectories and maps in every format, images of keyframes.
 //!
 //! A recording, streamed into a session of its own; `SERVER` is where the service is, such as
@@ -66,8 +66,10 @@ pub use placement::{Placement, SessionEnd};
 #[doc(no_inline)]
 pub use proto::v1;
 #[doc(no_inline)]
+#[cfg(feature = "bags")]
+pub use recordings::Bag;
 pub use recordings::{
-    Bag, Ffmpeg, FileError, FrameImage, FrameReader, Layout, PixelFormat, RawImage, Recording, StampedPose,
+    Ffmpeg, FileError, FrameImage, FrameReader, Layout, PixelFormat, RawImage, Recording, StampedPose,
     TimedFrame, Trajectory, VideoInput,
 };
 pub use sequential::Sequential;

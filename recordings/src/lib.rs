@@ -3,7 +3,8 @@
 //! * [`Recording`]: a folder of images with their times, calibration and ground truth, in the [`Layout`]s in
 //!   use; [`find_folder`] also looks where `MONOSLAM_DATA` says that recordings are kept.
 //! * [`FrameReader`]: images one after the other, from videos and cameras ([`Ffmpeg`]) and from pipes
-//!   ([`read_pipe`]), MCAP files and bags ([`Bag`]).
+//!   ([`read_pipe`]), MCAP files and bags (`Bag`, by
+//!   the feature `bags`).
 //! * [`Trajectory`]: stamped camera poses, read from and written to the usual text files.
 //! * [`evaluate`]: absolute and relative errors after alignment, the figures of `evo_ape` and `evo_rpe`;
 //!   [`pose_errors`]: those of each pose.
@@ -19,6 +20,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+#[cfg(feature = "bags")]
 mod bag;
 mod data;
 mod dataset;
@@ -29,6 +31,7 @@ mod time;
 mod trajectory;
 mod video;
 
+#[cfg(feature = "bags")]
 pub use bag::{Bag, BagReader};
 pub use data::{DATA_VARIABLE, find_folder};
 pub use dataset::{FrameFile, Layout, Playback, Recording, read_calibration};
