@@ -1,7 +1,7 @@
-//! Descriptor matching: in a list, in a window (guided matching), or all against all (brute force), by
-//! Hamming distance and the ratio test [Lowe 2004].
+//! Descriptor matching: in a list, or all against all (brute force), by Hamming distance and the ratio test
+//! [Lowe 2004].
 
-use crate::{Descriptor, Features, KeypointGrid, vectorized};
+use crate::{Descriptor, Features, vectorized};
 
 /// Descriptors further apart than this are not the same point (strict), bits of 256.
 pub const STRICT_DISTANCE: u32 = 50;
@@ -17,52 +17,6 @@ pub struct DescriptorMatch {
     pub second_idx: u32,
     /// Hamming distance, bits of 256.
     pub distance: u32,
-}
-
-/// The nearest descriptor of a list, and how near the next one is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BestTwo {
-    /// Index of the nearest.
-    pub best_idx: u32,
-    /// Its distance, bits.
-    pub best: u32,
-    /// Index of the second nearest, if the list has two.
-    pub second_idx: Option<u32>,
-    /// Its distance, bits; `u32::MAX` if the list has one only.
-    pub second: u32,
-}
-
-impl BestTwo {
-    /// Whether the best is clearly better than the second: `best < ratio * second`. A lone candidate passes.
-    pub fn passes_ratio(&self, ratio: f32) -> bool {
-        self.second == u32::MAX || (self.best as f32) < ratio * self.second as f32
-    }
-}
-
-/// The two of `candidates` (indices into `descriptors`) nearest to `query`; the first listed wins a tie.
-/// `None` if the list is empty. Panics if a candidate is out of range.
-pub fn best_two(query: &Descriptor, descriptors: &[Descriptor], candidates: &[u32]) -> Option<BestTwo> {
-    vectorized(
-        #[inline(always)]
-        || scan(query, descriptors, candidates),
-    )
-}
-
-#[inline(always)]
-fn scan(query: &Descriptor, descriptors: &[Descriptor], candidates: &[u32]) -> Option<BestTwo> {
-    let mut best = BestTwo { best_idx: u32::MAX, best: u32::MAX, second_idx: None, second: u32::MAX };
-    for &idx in candidates {
-        let distance = query.distance(&descriptors[idx as usize]);
-        if distance < best.best {
-            if best.best_idx != u32::MAX {
-                (best.second_idx, best.second) = (Some(best.best_idx), best.best);
-            }
-            (best.best_idx, best.best) = (idx, distance);
-        } else if distance < best.second {
-            (best.second_idx, best.second) = (Some(idx), distance);
-        }
-    }
-    (best.best_idx != u32::MAX).then_some(best)
 }
 
 /// Distance and index of the nearest of `candidates`, the first if there are several, and the distance of the
@@ -108,75 +62,20 @@ impl Default for MatchConfig {
     }
 }
 
-/// Matches within a window around where each point was, at the finest level only, for initialization.
-///
-/// `expected` holds, for each keypoint of `first`, where it is looked for in `second` (usually where it was,
-/// or where its match of the frame before was); `second_grid` is built over `second`. Matches are mutual and
-/// in the order of `first`. Points of `first` above octave 0 and points with an `expected` that is not finite
-/// find no match.
-pub fn match_in_window(
-    first: &Features,
-    expected: &[(f32, f32)],
-    second: &Features,
-    second_grid: &KeypointGrid,
-    radius_px: f32,
-    config: &MatchConfig,
-) -> Vec<DescriptorMatch> {
-    // For each keypoint of `second`: the nearest of `first` that looked at it. Ties go to the earlier one.
-    let mut claimed = vec![(u32::MAX, u32::MAX); second.len()];
-    let mut chosen = Vec::new();
-    let mut candidates = Vec::new();
-    for (first_idx, (keypoint, &(x, y))) in first.keypoints.iter().zip(expected).enumerate() {
-        if keypoint.octave > 0 {
-            continue;
-        }
-        second_grid.query_window(x, y, radius_px, 0..=0, &mut candidates);
-        let descriptor = &first.descriptors[first_idx];
-        for &idx in &candidates {
-            let distance = descriptor.distance(&second.descriptors[idx as usize]);
-            let claim = &mut claimed[idx as usize];
-            if distance < claim.0 {
-                *claim = (distance, first_idx as u32);
-            }
-        }
-        let Some(best) = best_two(descriptor, &second.descriptors, &candidates) else { continue };
-        if best.best <= config.max_distance && best.passes_ratio(config.ratio) {
-            chosen.push(DescriptorMatch {
-                first_idx: first_idx as u32,
-                second_idx: best.best_idx,
-                distance: best.best,
-            });
-        }
-    }
-    chosen.retain(|m| claimed[m.second_idx as usize].1 == m.first_idx);
-    keep_consistent(&mut chosen, first, second, config);
-    chosen
-}
-
 /// Compares all with all and keeps mutual best matches that pass `config`, in the order of `first`.
 pub fn match_brute_force(first: &Features, second: &Features, config: &MatchConfig) -> Vec<DescriptorMatch> {
-    let mut nearest_of_second = vec![(u32::MAX, u32::MAX); second.len()];
+    let nearest = |query: &Descriptor, of: &Features| nearest_two(query, of.descriptors.iter().enumerate());
     let mut chosen = Vec::new();
     for (first_idx, descriptor) in first.descriptors.iter().enumerate() {
-        let mut best = BestTwo { best_idx: u32::MAX, best: u32::MAX, second_idx: None, second: u32::MAX };
-        for (idx, (other, nearest)) in second.descriptors.iter().zip(&mut nearest_of_second).enumerate() {
-            let distance = descriptor.distance(other);
-            if distance < nearest.0 {
-                *nearest = (distance, first_idx as u32);
-            }
-            if distance < best.best {
-                best.second = best.best;
-                (best.best_idx, best.best) = (idx as u32, distance);
-            } else if distance < best.second {
-                best.second = distance;
-            }
-        }
-        if best.best_idx != u32::MAX && best.best <= config.max_distance && best.passes_ratio(config.ratio) {
-            let (second_idx, distance) = (best.best_idx, best.best);
-            chosen.push(DescriptorMatch { first_idx: first_idx as u32, second_idx, distance });
+        let ((distance, second_idx), runner_up) = nearest(descriptor, second);
+        // A lone candidate passes the ratio test.
+        let is_clear = runner_up == u32::MAX || (distance as f32) < config.ratio * runner_up as f32;
+        let is_match = distance <= config.max_distance && is_clear;
+        if is_match && nearest(&second.descriptors[second_idx], first).0.1 == first_idx {
+            let (first_idx, second_idx) = (first_idx as u32, second_idx as u32);
+            chosen.push(DescriptorMatch { first_idx, second_idx, distance });
         }
     }
-    chosen.retain(|m| nearest_of_second[m.second_idx as usize].1 == m.first_idx);
     keep_consistent(&mut chosen, first, second, config);
     chosen
 }
@@ -264,8 +163,8 @@ fn rotation_bin(change: f32) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Keypoint;
     use crate::test_images::Random;
-    use crate::{GridBounds, Keypoint};
 
     fn random_features(random: &mut Random, n: usize) -> Features {
         let mut features = Features::default();
@@ -299,22 +198,21 @@ mod tests {
     }
 
     #[test]
-    fn the_best_two_are_those_of_a_sorted_list() {
+    fn the_nearest_two_are_those_of_a_sorted_list() {
         let mut random = Random::new(1);
         let features = random_features(&mut random, 100);
         for query in &features.descriptors[..20] {
-            let candidates: Vec<u32> = (20..100).filter(|_| random.below(4) == 0).collect();
-            let mut sorted: Vec<(u32, u32)> =
-                candidates.iter().map(|&i| (query.distance(&features.descriptors[i as usize]), i)).collect();
-            sorted.sort_unstable_by_key(|&(distance, _)| distance);
-            let best = best_two(query, &features.descriptors, &candidates).unwrap();
-            assert_eq!((best.best, best.second), (sorted[0].0, sorted[1].0));
-            assert_eq!(query.distance(&features.descriptors[best.best_idx as usize]), best.best);
-            assert_eq!(query.distance(&features.descriptors[best.second_idx.unwrap() as usize]), best.second);
+            let kept: Vec<usize> = (20..100).filter(|_| random.below(4) == 0).collect();
+            let mut sorted: Vec<(u32, usize)> =
+                kept.iter().map(|&i| (query.distance(&features.descriptors[i]), i)).collect();
+            sorted.sort_unstable();
+            let candidates = kept.iter().map(|&i| (i, &features.descriptors[i]));
+            assert_eq!(nearest_two(query, candidates), (sorted[0], sorted[1].0));
         }
-        assert_eq!(best_two(&features.descriptors[0], &features.descriptors, &[]), None);
-        let lone = best_two(&features.descriptors[0], &features.descriptors, &[1]).unwrap();
-        assert!(lone.second_idx.is_none() && lone.passes_ratio(0.1));
+        let query = &features.descriptors[0];
+        assert_eq!(nearest_two(query, std::iter::empty()), ((u32::MAX, usize::MAX), u32::MAX));
+        let lone = std::iter::once((7, query));
+        assert_eq!(nearest_two(query, lone), ((0, 7), u32::MAX));
     }
 
     #[test]
@@ -345,23 +243,6 @@ mod tests {
         first.descriptors.push(Descriptor(first.descriptors[1].0.map(|word| word ^ 1)));
         let found = match_brute_force(&first, &second, &MatchConfig::default());
         assert_eq!(found, [DescriptorMatch { first_idx: 1, second_idx: 1, distance: 0 }]);
-    }
-
-    #[test]
-    fn windows_limit_matches_to_the_neighborhood_and_the_finest_level() {
-        let mut random = Random::new(4);
-        let first = random_features(&mut random, 300);
-        let second = seen_again(&mut random, &first, 40.0, 0.0);
-        let grid = KeypointGrid::from_keypoints(&second.keypoints, GridBounds::of_image(640, 480));
-        let mut expected: Vec<(f32, f32)> = first.keypoints.iter().map(|k| (k.x, k.y)).collect();
-        let n_finest = first.keypoints.iter().filter(|k| k.octave == 0).count();
-        let config = MatchConfig::default();
-        let found = match_in_window(&first, &expected, &second, &grid, 100.0, &config);
-        assert_eq!(found.len(), n_finest);
-        assert!(found.iter().all(|m| m.first_idx + m.second_idx == 299));
-        assert!(match_in_window(&first, &expected, &second, &grid, 30.0, &config).is_empty());
-        expected.iter_mut().for_each(|p| p.0 = f32::NAN);
-        assert!(match_in_window(&first, &expected, &second, &grid, 100.0, &config).is_empty());
     }
 
     #[test]
