@@ -1,7 +1,7 @@
 //! The gradient of an image smoothed a little, in whole numbers: what the edge drawing detector walks along
 //! and what every segment is refined on.
 
-use crate::GrayImage;
+use crate::{GrayImage, vectorized};
 
 /// What one gray level per pixel comes to in [`Gradients`]: 4 bits kept from the smoothing, 3 from the Sobel
 /// weights.
@@ -44,12 +44,10 @@ impl Gradients {
             }
             return;
         }
-        self.smooth_row(image, 0);
-        self.smooth_row(image, 1);
-        for y in 1..self.height - 1 {
-            self.smooth_row(image, y + 1);
-            self.differentiate_row(y);
-        }
+        vectorized(
+            #[inline(always)]
+            || self.compute_inner_rows(image),
+        );
         let last = n - self.width;
         for field in [&mut self.x, &mut self.y, &mut self.magnitude] {
             field[..self.width].fill(0);
@@ -57,7 +55,18 @@ impl Gradients {
         }
     }
 
+    #[inline(always)]
+    fn compute_inner_rows(&mut self, image: &GrayImage) {
+        self.smooth_row(image, 0);
+        self.smooth_row(image, 1);
+        for y in 1..self.height - 1 {
+            self.smooth_row(image, y + 1);
+            self.differentiate_row(y);
+        }
+    }
+
     /// Smooths row `y` of `image` into its slot. Pixels beyond the edges are those at the edges.
+    #[inline(always)]
     fn smooth_row(&mut self, image: &GrayImage, y: usize) {
         let (width, height) = (self.width, self.height);
         self.padded.resize(width + 2 * RADIUS, 0);
@@ -85,6 +94,7 @@ impl Gradients {
     }
 
     /// Sobel's kernels on the three smoothed rows around `y`.
+    #[inline(always)]
     fn differentiate_row(&mut self, y: usize) {
         let width = self.width;
         self.sum.resize(width, 0);

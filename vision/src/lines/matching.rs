@@ -126,10 +126,21 @@ pub fn match_lines(
     second: DescribedLines,
     config: &LineMatchConfig,
 ) -> Vec<DescriptorMatch> {
-    let place = |lines: &DescribedLines| -> Vec<Placed> {
-        lines.segments.iter().zip(lines.descriptors).map(|(segment, _)| Placed::new(segment)).collect()
-    };
-    let (first_placed, second_placed) = (place(&first), place(&second));
+    let n = second.segments.len().min(second.descriptors.len());
+    match_lines_lazily(first, &second.segments[..n], |index| second.descriptors[index], config)
+}
+
+/// [`match_lines`], where a segment of `second` is described when geometry lets it be compared: most are
+/// near nothing.
+pub(super) fn match_lines_lazily(
+    first: DescribedLines,
+    second: &[Segment],
+    mut describe: impl FnMut(usize) -> Descriptor,
+    config: &LineMatchConfig,
+) -> Vec<DescriptorMatch> {
+    let n_first = first.segments.len().min(first.descriptors.len());
+    let first_placed: Vec<Placed> = first.segments[..n_first].iter().map(Placed::new).collect();
+    let second_placed: Vec<Placed> = second.iter().map(Placed::new).collect();
     let min_cosine = config.gates.max_angle.cos();
     // For each of the second, the nearest of the first so far.
     let mut nearest = vec![(u32::MAX, u32::MAX); second_placed.len()];
@@ -139,7 +150,7 @@ pub fn match_lines(
         candidates.clear();
         for (second_idx, b) in second_placed.iter().enumerate() {
             if config.gates.accept_placed(a, b, min_cosine) {
-                let distance = first.descriptors[first_idx].distance(&second.descriptors[second_idx]);
+                let distance = first.descriptors[first_idx].distance(&describe(second_idx));
                 nearest[second_idx] = nearest[second_idx].min((distance, first_idx as u32));
                 candidates.push((distance, second_idx as u32));
             }

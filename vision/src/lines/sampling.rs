@@ -8,6 +8,9 @@ use crate::{GrayImage, vectorized};
 const FRACTION_BITS: u32 = 16;
 /// Interpolation weights are in parts of this many.
 const ONE: u32 = 256;
+/// Samples of a path taken at once.
+#[cfg(target_arch = "x86_64")]
+const LANES: usize = 8;
 /// A position must be this far inside the outermost pixel centers, pixels: room for the rounding of a path's
 /// positions.
 const MARGIN_PX: f32 = 0.01;
@@ -40,16 +43,97 @@ impl<'a> Sampler<'a> {
         if !(self.contains(start) && self.contains(last)) {
             return false;
         }
-        let fixed = |value: f32| (value * (1u32 << FRACTION_BITS) as f32) as i64;
-        let half = 1i64 << (FRACTION_BITS - 9);
-        let (mut x, mut y) = (fixed(start.x) + half, fixed(start.y) + half);
-        let (step_x, step_y) = (fixed(step.x), fixed(step.y));
-        for value in out {
-            *value = self.at_fixed(x, y);
-            x += step_x;
-            y += step_y;
-        }
+        let half = 1 << (FRACTION_BITS - 9);
+        let first = Fixed { x: fixed(start.x).wrapping_add(half), y: fixed(start.y).wrapping_add(half) };
+        let step = Fixed { x: fixed(step.x), y: fixed(step.y) };
+        self.fill(first, step, out);
         true
+    }
+
+    fn fill(&self, first: Fixed, step: Fixed, out: &mut [f32]) {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") && self.is_gatherable(first, step, out.len()) {
+            // SAFETY: AVX2 has just been found, and every position's pixels lie in the image.
+            return unsafe { self.fill_avx2(first, step, out) };
+        }
+        self.fill_one_by_one(first, step, out);
+    }
+
+    fn fill_one_by_one(&self, mut position: Fixed, step: Fixed, out: &mut [f32]) {
+        for value in out {
+            let (upper, lower) = self.pixels_around(position);
+            *value = blend(upper, lower, position);
+            position = position.after(step, 1);
+        }
+    }
+
+    /// Whether the four bytes from the left upper pixel of each position on, and from the one below it, lie
+    /// in the image. A path is straight: both its ends say so for what is between.
+    #[cfg(target_arch = "x86_64")]
+    fn is_gatherable(&self, first: Fixed, step: Fixed, n: usize) -> bool {
+        let last = first.after(step, n.max(1) as u32 - 1);
+        let whole = |a: u32, b: u32| (a.max(b) >> FRACTION_BITS) as usize;
+        let (x, y) = (whole(first.x, last.x), whole(first.y, last.y));
+        let end = (y + 1) * self.width + x + size_of::<u32>();
+        x + 1 < self.width && end <= self.pixels.len() && i32::try_from(end).is_ok()
+    }
+
+    /// Eight samples at once.
+    ///
+    /// # Safety
+    /// The positions must be [gatherable](Self::is_gatherable).
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    unsafe fn fill_avx2(&self, first: Fixed, step: Fixed, out: &mut [f32]) {
+        use std::arch::x86_64::*;
+        let index = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+        let lanes = |first: u32, step: u32| {
+            let offsets = _mm256_mullo_epi32(index, _mm256_set1_epi32(step.cast_signed()));
+            _mm256_add_epi32(_mm256_set1_epi32(first.cast_signed()), offsets)
+        };
+        let (mut x, mut y) = (lanes(first.x, step.x), lanes(first.y, step.y));
+        let step_x = _mm256_set1_epi32(step.x.wrapping_mul(LANES as u32).cast_signed());
+        let step_y = _mm256_set1_epi32(step.y.wrapping_mul(LANES as u32).cast_signed());
+        let width = _mm256_set1_epi32(self.width as i32);
+        let (one, low) = (_mm256_set1_epi32(ONE as i32), _mm256_set1_epi32(0xff));
+        let scale = _mm256_set1_ps(1.0 / (ONE * ONE) as f32);
+        let base = self.pixels.as_ptr();
+        let n_last = _mm256_set1_epi32(out.len() as i32);
+        let mut done = _mm256_setzero_si256();
+        for chunk in out.chunks_mut(LANES) {
+            let whole_x = _mm256_srli_epi32::<{ FRACTION_BITS as i32 }>(x);
+            let whole_y = _mm256_srli_epi32::<{ FRACTION_BITS as i32 }>(y);
+            // Behind the end of the path nothing is read.
+            let wanted = _mm256_cmpgt_epi32(n_last, _mm256_add_epi32(index, done));
+            let at = _mm256_add_epi32(_mm256_mullo_epi32(whole_y, width), whole_x);
+            let at = _mm256_and_si256(at, wanted);
+            // SAFETY: the caller says that four bytes from each of these on are in the image.
+            let (upper, lower) = unsafe {
+                (
+                    _mm256_i32gather_epi32::<1>(base.cast(), at),
+                    _mm256_i32gather_epi32::<1>(base.add(self.width).cast(), at),
+                )
+            };
+            let right = _mm256_and_si256(_mm256_srli_epi32::<{ FRACTION_BITS as i32 - 8 }>(x), low);
+            let below = _mm256_and_si256(_mm256_srli_epi32::<{ FRACTION_BITS as i32 - 8 }>(y), low);
+            let left = _mm256_sub_epi32(one, right);
+            let along = |pair: __m256i| {
+                let second = _mm256_and_si256(_mm256_srli_epi32::<8>(pair), low);
+                let first = _mm256_and_si256(pair, low);
+                _mm256_add_epi32(_mm256_mullo_epi32(first, left), _mm256_mullo_epi32(second, right))
+            };
+            let sum = _mm256_add_epi32(
+                _mm256_mullo_epi32(along(upper), _mm256_sub_epi32(one, below)),
+                _mm256_mullo_epi32(along(lower), below),
+            );
+            let mut values = [0.0f32; LANES];
+            // SAFETY: the array has room for eight numbers.
+            unsafe { _mm256_storeu_ps(values.as_mut_ptr(), _mm256_mul_ps(_mm256_cvtepi32_ps(sum), scale)) };
+            chunk.copy_from_slice(&values[..chunk.len()]);
+            x = _mm256_add_epi32(x, step_x);
+            y = _mm256_add_epi32(y, step_y);
+            done = _mm256_add_epi32(done, _mm256_set1_epi32(LANES as i32));
+        }
     }
 
     /// As [`Sampler::path`]; beyond the edges the image goes on as at the edges. An empty image is black.
@@ -64,9 +148,10 @@ impl<'a> Sampler<'a> {
         let clamped = |value: f32, n: usize| value.max(MARGIN_PX).min(n as f32 - 1.0 - MARGIN_PX);
         for (i, value) in out.iter_mut().enumerate() {
             let position = start + step * i as f32;
-            let fixed = |value: f32| (value * (1u32 << FRACTION_BITS) as f32) as i64;
-            *value = self
-                .at_fixed(fixed(clamped(position.x, self.width)), fixed(clamped(position.y, self.height)));
+            let (x, y) = (clamped(position.x, self.width), clamped(position.y, self.height));
+            let position = Fixed { x: fixed(x), y: fixed(y) };
+            let (upper, lower) = self.pixels_around(position);
+            *value = blend(upper, lower, position);
         }
     }
 
@@ -77,16 +162,46 @@ impl<'a> Sampler<'a> {
         self.path(position, Vector2::zeros(), &mut value).then_some(value[0])
     }
 
+    /// The four pixels around a position: two of the row above, two of the row below.
     #[inline(always)]
-    fn at_fixed(&self, x: i64, y: i64) -> f32 {
-        let first = (y >> FRACTION_BITS) as usize * self.width + (x >> FRACTION_BITS) as usize;
-        let weight = |position: i64| (position >> (FRACTION_BITS - 8)) as u32 & (ONE - 1);
-        let (right, below) = (weight(x), weight(y));
-        let blend = |pair: &[u8]| u32::from(pair[0]) * (ONE - right) + u32::from(pair[1]) * right;
-        let upper = blend(&self.pixels[first..first + 2]);
-        let lower = blend(&self.pixels[first + self.width..first + self.width + 2]);
-        (upper * (ONE - below) + lower * below) as f32 * (1.0 / (ONE * ONE) as f32)
+    fn pixels_around(&self, position: Fixed) -> ([u8; 2], [u8; 2]) {
+        let first =
+            (position.y >> FRACTION_BITS) as usize * self.width + (position.x >> FRACTION_BITS) as usize;
+        let pair = |first: usize| [self.pixels[first], self.pixels[first + 1]];
+        (pair(first), pair(first + self.width))
     }
+}
+
+/// A position in parts of `2^-FRACTION_BITS` pixel: a side of an image is at most 65,535 pixels. Steps back
+/// wrap around.
+#[derive(Clone, Copy)]
+struct Fixed {
+    x: u32,
+    y: u32,
+}
+
+impl Fixed {
+    #[inline(always)]
+    fn after(self, step: Fixed, n_steps: u32) -> Self {
+        Self {
+            x: self.x.wrapping_add(step.x.wrapping_mul(n_steps)),
+            y: self.y.wrapping_add(step.y.wrapping_mul(n_steps)),
+        }
+    }
+}
+
+#[inline(always)]
+fn fixed(pixels: f32) -> u32 {
+    (pixels * (1u32 << FRACTION_BITS) as f32) as i64 as u32
+}
+
+/// Interpolates between two pixels of a row and the two below them.
+#[inline(always)]
+fn blend(upper: [u8; 2], lower: [u8; 2], position: Fixed) -> f32 {
+    let weight = |position: u32| (position >> (FRACTION_BITS - 8)) & (ONE - 1);
+    let (right, below) = (weight(position.x), weight(position.y));
+    let along = |pair: [u8; 2]| u32::from(pair[0]) * (ONE - right) + u32::from(pair[1]) * right;
+    (along(upper) * (ONE - below) + along(lower) * below) as f32 * (1.0 / (ONE * ONE) as f32)
 }
 
 /// Writes the means of 2 x 2 pixels of `image` into `out`, reusing its buffer; an odd last row or column is
@@ -145,6 +260,28 @@ mod tests {
         assert_eq!(values, before);
         sampler.clamped_path(Vector2::new(-7.0, 4.0), Vector2::new(1.0, 0.0), &mut values);
         assert!(values[..8].iter().all(|value| (value - 32.0).abs() < 0.1), "{values:?}");
+    }
+
+    #[test]
+    fn samples_taken_together_are_those_taken_one_by_one() {
+        let image = crate::test_images::noise(37, 29, 255, 3);
+        let sampler = Sampler::new(&image);
+        for (start, step) in [
+            (Vector2::new(1.3, 2.7), Vector2::new(0.9, 0.7)),
+            (Vector2::new(35.9, 27.9), Vector2::new(-1.0, -0.8)),
+            (Vector2::new(35.98, 27.98), Vector2::new(0.0, 0.0)),
+            (Vector2::new(0.02, 27.9), Vector2::new(1.1, 0.0)),
+        ] {
+            for n in 1..=25 {
+                let (mut together, mut one_by_one) = ([-1.0; 26], [-1.0; 26]);
+                assert!(sampler.path(start, step, &mut together[..n]));
+                let half = 1 << (FRACTION_BITS - 9);
+                let first = Fixed { x: fixed(start.x) + half, y: fixed(start.y) + half };
+                let step = Fixed { x: fixed(step.x), y: fixed(step.y) };
+                sampler.fill_one_by_one(first, step, &mut one_by_one[..n]);
+                assert_eq!(together, one_by_one, "{start} {step_x}", step_x = step.x);
+            }
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Fast bilinear resizing, in whole numbers.
 
-use crate::GrayImage;
+use crate::{GrayImage, vectorized};
 
 /// Bilinear resizing with buffers kept between calls. Meant for ratios below 2, as between neighboring
 /// pyramid levels: beyond, pixels are skipped and detail is aliased.
@@ -61,11 +61,15 @@ impl BilinearResizer {
                 self.columns.apply(image.row(below), &mut self.lower);
                 held = Some(tap.left);
             }
-            blend_rows(&self.upper, &self.lower, tap.weight, out.row_mut(y));
+            vectorized(
+                #[inline(always)]
+                || blend_rows(&self.upper, &self.lower, tap.weight, out.row_mut(y)),
+            );
         }
     }
 }
 
+#[inline(always)]
 fn blend_rows(upper: &[i16], lower: &[i16], weight: i16, out: &mut [u8]) {
     let (upper_weight, lower_weight) = (i32::from(ONE - weight), i32::from(weight));
     for ((out, &upper), &lower) in out.iter_mut().zip(upper).zip(lower) {

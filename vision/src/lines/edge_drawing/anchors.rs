@@ -1,12 +1,13 @@
 //! Where edges are followed from: pixels on the crest of the gradient across the edge.
 
 use crate::lines::gradient::{Gradients, UNITS_PER_LEVEL};
+use crate::vectorized;
 
 /// An anchor's gradient exceeds those of its two neighbors across the edge by this in all, gray levels per
 /// pixel.
 const MIN_PROMINENCE: i16 = UNITS_PER_LEVEL as i16;
 /// Every so-many-th pixel along an edge may be an anchor; one is enough to find the edge.
-const STEP: usize = 2;
+const STEP: i16 = 2;
 /// Magnitudes are sorted into bins of 256.
 const BIN_SHIFT: u32 = 8;
 const N_BINS: usize = 128;
@@ -31,7 +32,10 @@ impl Anchors {
             return &self.sorted;
         }
         for y in 1..height.saturating_sub(1) {
-            self.flag_row(gradients, y, min_magnitude);
+            vectorized(
+                #[inline(always)]
+                || self.flag_row(gradients, y, min_magnitude),
+            );
             let (chunks, rest) = self.flags.as_chunks::<8>();
             for (chunk_index, chunk) in chunks.iter().enumerate() {
                 // Flags are rare: eight are looked at together.
@@ -50,7 +54,8 @@ impl Anchors {
     }
 
     /// Flags pixels 1 to `width - 2` of row `y`: 1 for an anchor, 0 for none. Edges that run along x are cut
-    /// by every so-many-th column, the others by rows.
+    /// by every so-many-th column, the others by rows. Without branches, so that many pixels are done at once.
+    #[inline(always)]
     fn flag_row(&mut self, gradients: &Gradients, y: usize, min_magnitude: i16) {
         let n = gradients.width - 2;
         let at = y * gradients.width + 1;
@@ -58,16 +63,19 @@ impl Anchors {
         let (center, left, right) = (around(at), around(at - 1), around(at + 1));
         let (above, below) = (around(at - gradients.width), around(at + gradients.width));
         let (gx, gy) = (&gradients.x[at..][..n], &gradients.y[at..][..n]);
-        let on_row = y.is_multiple_of(STEP);
+        let on_row = if y.is_multiple_of(STEP as usize) { -1i16 } else { 0 };
         self.flags.resize(n, 0);
         for (i, flag) in self.flags.iter_mut().enumerate() {
-            let along_x = gy[i].abs() > gx[i].abs();
-            let (before, after) = if along_x { (above[i], below[i]) } else { (left[i], right[i]) };
-            let (before, after) = (center[i] - before, center[i] - after);
+            let along_x = mask(gy[i].abs() > gx[i].abs());
+            let choose = |across: i16, other: i16| (across & along_x) | (other & !along_x);
+            let before = center[i] - choose(above[i], left[i]);
+            let after = center[i] - choose(below[i], right[i]);
             // An edge half way between two pixels is equally strong on both.
-            let is_peak = (before >= 0) & (after >= 0) & (before.saturating_add(after) >= MIN_PROMINENCE);
-            let on_grid = if along_x { (i + 1).is_multiple_of(STEP) } else { on_row };
-            *flag = u8::from((center[i] >= min_magnitude) & is_peak & on_grid);
+            let is_peak = mask(before >= 0) & mask(after >= 0);
+            let is_prominent = mask(before.saturating_add(after) >= MIN_PROMINENCE);
+            let on_grid = choose(mask((i as i16).wrapping_add(1) % STEP == 0), on_row);
+            let is_strong = mask(center[i] >= min_magnitude);
+            *flag = (is_strong & is_peak & is_prominent & on_grid & 1) as u8;
         }
     }
 
@@ -89,4 +97,10 @@ impl Anchors {
         }
         &self.sorted
     }
+}
+
+/// All bits or none.
+#[inline(always)]
+fn mask(condition: bool) -> i16 {
+    -i16::from(condition)
 }

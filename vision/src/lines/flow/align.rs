@@ -11,10 +11,13 @@ const MAX_SHIFT: usize = 3;
 /// What is read of either image, so that a path can be shifted there and back.
 const HALF_READ: usize = HALF_PATH + MAX_SHIFT + 1;
 const READ: usize = 2 * HALF_READ + 1;
+/// A path and what was read, lengthened to whole vectors; what is behind the end has no weight.
+const PADDED: usize = PATH.next_multiple_of(4);
+const PADDED_READ: usize = READ + PADDED - PATH;
 
 /// Weights of a path: Gaussian, sigma 2.5 pixels, so the edge itself counts most and its neighbors least.
-const WEIGHTS: [f32; PATH] =
-    [0.1353, 0.2780, 0.4868, 0.7261, 0.9231, 1.0, 0.9231, 0.7261, 0.4868, 0.2780, 0.1353];
+const WEIGHTS: [f32; PADDED] =
+    [0.1353, 0.2780, 0.4868, 0.7261, 0.9231, 1.0, 0.9231, 0.7261, 0.4868, 0.2780, 0.1353, 0.0];
 const WEIGHT_SUM: f32 = 6.0986;
 /// Iterations end when the shift changes by less than this, pixels.
 const MIN_STEP: f32 = 0.01;
@@ -85,9 +88,9 @@ impl Aligner {
         new: Vector2<f32>,
         and_back: bool,
     ) -> Option<Aligned> {
-        let (mut last, mut next) = ([0.0; READ], [0.0; READ]);
-        paths.read_last(old, &mut last);
-        paths.read_next(new, &mut next);
+        let (mut last, mut next) = ([0.0; PADDED_READ], [0.0; PADDED_READ]);
+        paths.read_last(old, &mut last[..READ]);
+        paths.read_next(new, &mut next[..READ]);
         let forward = align_profiles(&last, 0.0, &next, 0.0)?;
         let forward_backward = if and_back {
             // The found path, whose own place in `next` is its shift, starts from where it would lie had it
@@ -103,10 +106,15 @@ impl Aligner {
 
 /// Finds the path about `from_shift` of `from` in `to`, starting at `guess`; both as offsets from the middle.
 /// Gauss-Newton on the weighted squared differences, brightness free, with the gradient of `from` throughout.
-fn align_profiles(from: &[f32; READ], from_shift: f32, to: &[f32; READ], guess: f32) -> Option<Aligned> {
+fn align_profiles(
+    from: &[f32; PADDED_READ],
+    from_shift: f32,
+    to: &[f32; PADDED_READ],
+    guess: f32,
+) -> Option<Aligned> {
     let template = window(from, from_shift)?;
     let (before, after) = (window(from, from_shift - 0.5)?, window(from, from_shift + 0.5)?);
-    let gradient: [f32; PATH] = std::array::from_fn(|i| after[i] - before[i]);
+    let gradient: [f32; PADDED] = std::array::from_fn(|i| after[i] - before[i]);
     let gradient = centered(&gradient);
     let template = centered(&template);
     let contrast = weighted_dot(&template, &template);
@@ -117,7 +125,7 @@ fn align_profiles(from: &[f32; READ], from_shift: f32, to: &[f32; READ], guess: 
     let mut shift = guess;
     let mut found = centered(&window(to, shift)?);
     for _ in 0..MAX_ITERATIONS {
-        let residual: [f32; PATH] = std::array::from_fn(|i| found[i] - template[i]);
+        let residual: [f32; PADDED] = std::array::from_fn(|i| found[i] - template[i]);
         let step = weighted_dot(&gradient, &residual) / stiffness;
         shift -= step.clamp(-1.0, 1.0);
         found = centered(&window(to, shift)?);
@@ -132,27 +140,34 @@ fn align_profiles(from: &[f32; READ], from_shift: f32, to: &[f32; READ], guess: 
 
 /// The path about an offset from the middle of what was read, interpolated; `None` beyond it.
 #[inline]
-fn window(read: &[f32; READ], offset: f32) -> Option<[f32; PATH]> {
+fn window(read: &[f32; PADDED_READ], offset: f32) -> Option<[f32; PADDED]> {
     let first = offset + (HALF_READ - HALF_PATH) as f32;
     if !(first >= 0.0 && first < (READ - PATH) as f32) {
         return None;
     }
     let whole = first as usize;
     let part = first - whole as f32;
-    let values = &read[whole..whole + PATH + 1];
+    let values = &read[whole..whole + PADDED + 1];
     Some(std::array::from_fn(|i| values[i] + part * (values[i + 1] - values[i])))
 }
 
 /// Less its weighted mean: what a change of brightness leaves.
 #[inline]
-fn centered(path: &[f32; PATH]) -> [f32; PATH] {
-    let mean = path.iter().zip(&WEIGHTS).map(|(value, weight)| value * weight).sum::<f32>() / WEIGHT_SUM;
+fn centered(path: &[f32; PADDED]) -> [f32; PADDED] {
+    let mean = sum(std::array::from_fn(|i| path[i] * WEIGHTS[i])) / WEIGHT_SUM;
     path.map(|value| value - mean)
 }
 
 #[inline]
-fn weighted_dot(a: &[f32; PATH], b: &[f32; PATH]) -> f32 {
-    (0..PATH).map(|i| WEIGHTS[i] * a[i] * b[i]).sum()
+fn weighted_dot(a: &[f32; PADDED], b: &[f32; PADDED]) -> f32 {
+    sum(std::array::from_fn(|i| WEIGHTS[i] * a[i] * b[i]))
+}
+
+/// The sum in an order that vectors of four can follow.
+#[inline]
+fn sum(values: [f32; PADDED]) -> f32 {
+    let lanes: [f32; 4] = std::array::from_fn(|i| values[i] + values[i + 4] + values[i + 8]);
+    (lanes[0] + lanes[2]) + (lanes[1] + lanes[3])
 }
 
 #[cfg(test)]
@@ -160,7 +175,7 @@ mod tests {
     use super::*;
 
     /// A soft step at `position` from the middle.
-    fn step(position: f32) -> [f32; READ] {
+    fn step(position: f32) -> [f32; PADDED_READ] {
         std::array::from_fn(|i| 100.0 + 60.0 * ((i as f32 - HALF_READ as f32 - position) / 1.2).tanh())
     }
 
@@ -177,7 +192,7 @@ mod tests {
             assert!((found.shift - shift).abs() < 0.06, "{} for {shift}", found.shift);
             assert!(found.correlation > 0.99);
         }
-        assert!(align_profiles(&[7.0; READ], 0.0, &step(0.0), 0.0).is_none());
+        assert!(align_profiles(&[7.0; PADDED_READ], 0.0, &step(0.0), 0.0).is_none());
         let opposite = step(0.0).map(|value| 255.0 - value);
         assert!(align_profiles(&step(0.0), 0.0, &opposite, 0.0).is_none_or(|found| found.correlation < 0.0));
     }

@@ -2,15 +2,14 @@
 
 use super::{LineTrackerConfig, LineTrackingStatistics};
 use crate::lines::clip::Frame;
-use crate::lines::matching::DescribedLines;
 use crate::lines::{LineDescriber, Segment};
 use crate::{Descriptor, GrayImage};
 
-/// Detected segments in the order given, with their descriptors.
+/// Detected segments in the order given, with the descriptors of those that were asked for.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Detections {
     segments: Vec<Segment>,
-    descriptors: Vec<Descriptor>,
+    descriptors: Vec<Option<Descriptor>>,
     taken: Vec<bool>,
 }
 
@@ -19,13 +18,6 @@ pub(super) struct Remaining {
     /// Where they stand among all.
     pub indices: Vec<usize>,
     pub segments: Vec<Segment>,
-    pub descriptors: Vec<Descriptor>,
-}
-
-impl Remaining {
-    pub fn as_lines(&self) -> DescribedLines<'_> {
-        DescribedLines { segments: &self.segments, descriptors: &self.descriptors }
-    }
 }
 
 impl Detections {
@@ -51,33 +43,39 @@ impl Detections {
         }
         // Nobody knows an edge better than this, and a score must not become infinite.
         detected.iter_mut().for_each(|segment| segment.sigma_px = segment.sigma_px.max(MIN_SIGMA_PX));
-        let taken = vec![false; detected.len()];
-        Self { segments: detected, descriptors: Vec::new(), taken }
+        let n = detected.len();
+        Self { segments: detected, descriptors: vec![None; n], taken: vec![false; n] }
     }
 
-    /// Describes all by the image in half its resolution.
-    pub fn describe(&mut self, describer: &mut LineDescriber, halved: &GrayImage) {
-        self.descriptors =
-            self.segments.iter().map(|segment| describer.describe_halved(halved, segment)).collect();
+    pub fn segments(&self) -> &[Segment] {
+        &self.segments
     }
 
-    pub fn as_lines(&self) -> DescribedLines<'_> {
-        DescribedLines { segments: &self.segments, descriptors: &self.descriptors }
+    /// Describes one by the image in half its resolution, unless that was done already.
+    pub fn describe(
+        &mut self,
+        index: usize,
+        describer: &mut LineDescriber,
+        halved: &GrayImage,
+    ) -> Descriptor {
+        *self.descriptors[index]
+            .get_or_insert_with(|| describer.describe_halved(halved, &self.segments[index]))
+    }
+
+    /// What one looks like, if it was described.
+    pub fn descriptor(&self, index: usize) -> Option<Descriptor> {
+        self.descriptors[index]
     }
 
     /// Takes one for a line.
-    pub fn take(&mut self, index: usize) -> (Segment, Descriptor) {
+    pub fn take(&mut self, index: usize) -> (Segment, Option<Descriptor>) {
         self.taken[index] = true;
         (self.segments[index], self.descriptors[index])
     }
 
     pub fn remaining(&self) -> Remaining {
         let indices: Vec<usize> = (0..self.segments.len()).filter(|index| !self.taken[*index]).collect();
-        Remaining {
-            segments: indices.iter().map(|index| self.segments[*index]).collect(),
-            descriptors: indices.iter().map(|index| self.descriptors[*index]).collect(),
-            indices,
-        }
+        Remaining { segments: indices.iter().map(|index| self.segments[*index]).collect(), indices }
     }
 }
 

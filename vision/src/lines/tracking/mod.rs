@@ -13,7 +13,7 @@ use nalgebra::Vector2;
 
 use super::clip::Frame;
 use super::flow::{FlowPyramid, LineFlow, MotionPrior};
-use super::matching::{DescribedLines, match_lines};
+use super::matching::{DescribedLines, match_lines_lazily};
 use super::merging::{belong_together, merge_collinear, merge_pair};
 use super::sampling::Sampler;
 use super::support::EdgeProbe;
@@ -165,7 +165,6 @@ impl LineTracker {
         }
         self.next.build(image);
         let mut detections = Detections::accept(detected, self.frame(), &self.config, &mut statistics);
-        detections.describe(&mut self.describer, self.next.halved());
 
         let predictions: Vec<_> = (0..self.tracks.len()).map(|track| self.predict(track, prior)).collect();
         let mut candidates = self.confirm(&predictions, &mut detections, &mut statistics);
@@ -234,7 +233,10 @@ impl LineTracker {
             found.iter().map(|(track, _)| self.tracks[*track].descriptor).collect();
         let predicted = DescribedLines { segments: &segments, descriptors: &descriptors };
         let mut detection_of = vec![None; found.len()];
-        for confirmed in match_lines(predicted, detections.as_lines(), &self.config.predicted_match) {
+        let detected = detections.segments().to_vec();
+        let (describer, halved) = (&mut self.describer, self.next.halved());
+        let describe = |index| detections.describe(index, describer, halved);
+        for confirmed in match_lines_lazily(predicted, &detected, describe, &self.config.predicted_match) {
             detection_of[confirmed.first_idx as usize] =
                 Some((confirmed.second_idx as usize, confirmed.distance));
         }
@@ -280,7 +282,7 @@ impl LineTracker {
         &mut self,
         flowed: Candidate,
         detected: &Segment,
-        detected_descriptor: Descriptor,
+        detected_descriptor: Option<Descriptor>,
         detected_distance: u32,
     ) -> Candidate {
         if belong_together(&flowed.segment, detected, &self.probe(), &self.config.merging) {
@@ -313,14 +315,14 @@ impl LineTracker {
             segment: *detected,
             extent: self.extended(detected, &flowed.extent),
             origin: LineOrigin::Detected,
-            descriptor: Some(detected_descriptor),
+            descriptor: detected_descriptor,
             ..flowed
         }
     }
 
     /// Lines that flow did not find: detections near by that look the same. Those without one are lost.
     fn find_by_descriptor(
-        &self,
+        &mut self,
         predictions: &[Result<Prediction, LossReason>],
         detections: &mut Detections,
         prior: Option<&MotionPrior>,
@@ -335,7 +337,10 @@ impl LineTracker {
             missed.iter().map(|(track, _)| self.tracks[*track].descriptor).collect();
         let missed_lines = DescribedLines { segments: &segments, descriptors: &descriptors };
         let remaining = detections.remaining();
-        let matches = match_lines(missed_lines, remaining.as_lines(), &self.config.unpredicted_match);
+        let (describer, halved) = (&mut self.describer, self.next.halved());
+        let describe = |index: usize| detections.describe(remaining.indices[index], describer, halved);
+        let config = &self.config.unpredicted_match;
+        let matches = match_lines_lazily(missed_lines, &remaining.segments, describe, config);
         let mut detection_of = vec![None; missed.len()];
         for found in matches {
             detection_of[found.first_idx as usize] = Some(remaining.indices[found.second_idx as usize]);
@@ -352,7 +357,7 @@ impl LineTracker {
                 segment,
                 extent: segment,
                 origin: LineOrigin::Detected,
-                descriptor: Some(descriptor),
+                descriptor,
             });
         }
     }
@@ -381,8 +386,13 @@ impl LineTracker {
             if n_tracked > 0 {
                 tracks.extend(self.go_on(&segment, members, n_tracked, &candidates, statistics));
             } else {
-                let lone = (members.len() == 1).then(|| remaining.descriptors[members[0] - candidates.len()]);
-                new.push((segment, lone));
+                new.push(match members[..] {
+                    [lone] => {
+                        let detection = remaining.indices[lone - candidates.len()];
+                        (segment, LineOrigin::Detected, detections.descriptor(detection))
+                    }
+                    _ => (segment, LineOrigin::Merged, None),
+                });
             }
         }
         self.begin(new, &mut tracks, statistics);
@@ -433,20 +443,19 @@ impl LineTracker {
     /// Begins lines, the longest first, while there is room.
     fn begin(
         &mut self,
-        mut new: Vec<(Segment, Option<Descriptor>)>,
+        mut new: Vec<(Segment, LineOrigin, Option<Descriptor>)>,
         tracks: &mut Vec<(Track, LineOrigin)>,
         statistics: &mut LineTrackingStatistics,
     ) {
-        new.retain(|(segment, _)| segment.length() >= self.config.min_new_length_px);
+        new.retain(|(segment, ..)| segment.length() >= self.config.min_new_length_px);
         new.sort_by(|a, b| b.0.length().total_cmp(&a.0.length()));
         let room = self.config.max_lines.saturating_sub(tracks.len());
         statistics.n_new_beyond_limit = new.len().saturating_sub(room);
         new.truncate(room);
-        for (segment, lone) in new {
-            let origin = if lone.is_some() { LineOrigin::Detected } else { LineOrigin::Merged };
+        for (segment, origin, known) in new {
             statistics.n_new += 1;
-            statistics.n_merged += usize::from(lone.is_none());
-            let descriptor = self.described(&segment, lone);
+            statistics.n_merged += usize::from(origin == LineOrigin::Merged);
+            let descriptor = self.described(&segment, known);
             let track =
                 Track { id: self.next_track, age: 1, n_flow_only: 0, segment, extent: segment, descriptor };
             self.next_track += 1;
