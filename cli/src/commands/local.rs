@@ -57,6 +57,7 @@ impl LocalServer {
 }
 
 /// How frames go into a server inside.
+#[derive(Clone)]
 pub struct LocalRun<'a> {
     /// The camera that took them.
     pub camera: CameraParameters,
@@ -86,9 +87,23 @@ pub struct LocalOutcome {
 impl LocalServer {
     /// Streams all frames by gRPC, fetches the trajectory by HTTP, and compares it with the truth.
     pub async fn run(&self, run: LocalRun<'_>) -> Result<LocalOutcome> {
+        self.run_as(SESSION, run).await
+    }
+
+    /// [`LocalServer::run`] with as many sessions at once, each by a client of its own.
+    pub async fn run_streams(&self, run: &LocalRun<'_>, n_streams: usize) -> Result<Vec<LocalOutcome>> {
+        let name = |stream| if stream == 0 { SESSION.to_owned() } else { format!("{SESSION}-{stream}") };
+        let streams = (0..n_streams).map(|stream| {
+            let run = run.clone();
+            async move { self.run_as(&name(stream), run).await }
+        });
+        futures_util::future::try_join_all(streams).await
+    }
+
+    async fn run_as(&self, session: &str, run: LocalRun<'_>) -> Result<LocalOutcome> {
         let mut client = SlamClient::connect(&self.grpc()).await?;
         let LocalRun { camera, options, source, truth, is_realtime } = run;
-        let session = client.create_session(SESSION, &camera, options).await?;
+        let session = client.create_session(session, &camera, options).await?;
         let plan = if is_realtime { StreamPlan::realtime } else { StreamPlan::lossless };
         let plan = plan(session.id, source.as_ref());
         let summary = stream_with_progress(&mut client, &source, &plan).await?;

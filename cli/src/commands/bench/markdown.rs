@@ -16,10 +16,12 @@ const UNOPTIMIZED: &str = "**This was not a release build: its times say nothing
 /// tables. It has no date: the same figures give the same bytes.
 pub fn section(name: &str, command: &str, machine: &Machine, rows: &[Row], peers: &[Peer]) -> String {
     format!(
-        "Written by\n\n```sh\n{command}\n```\n\non {cores} cores of {cpu}.\n\n{warning}{tables}",
+        "Written by\n\n```sh\n{command}\n```\n\non {cores} cores of {cpu}; the reference job took {before:.0} ms before and {after:.0} ms after.\n\n{warning}{tables}",
         warning = if cfg!(debug_assertions) { UNOPTIMIZED } else { "" },
         cores = machine.cores,
         cpu = machine.cpu,
+        before = machine.reference_ms[0],
+        after = machine.reference_ms[1],
         tables = tables(Place::Section(name), rows, peers),
     )
 }
@@ -111,6 +113,7 @@ fn time(place: Place<'_>, rows: &[Row]) -> String {
             "system",
             "wall ms, median / p95",
             "tracking CPU ms, median / p95",
+            "process CPU ms a frame",
             "x real time",
             "dropped",
         ],
@@ -121,6 +124,7 @@ fn time(place: Place<'_>, rows: &[Row]) -> String {
             system_name(row),
             distribution(row.wall_ms),
             distribution(row.tracking_cpu_ms),
+            spread(row.process_cpu_ms, 1),
             spread(row.realtime_factor, 2),
             row.dropped.map_or("-".into(), |s| format!("{:.1} %", 100.0 * s.median)),
         ]);

@@ -6,6 +6,7 @@ mod machine;
 mod markdown;
 mod peers;
 mod playback;
+mod reference;
 mod section;
 mod setup;
 mod statistics;
@@ -47,6 +48,10 @@ pub struct BenchArgs {
     /// Run every stage in turn on one thread
     #[arg(long)]
     deterministic: bool,
+    /// Sessions at once, each fed the whole recording: how many streams this machine carries. Figures are of
+    /// the slowest
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
+    streams: u32,
     #[command(flatten)]
     playback: PlaybackArgs,
     /// Table of other systems' figures to put beside ours
@@ -86,13 +91,14 @@ pub async fn run(args: BenchArgs) -> Result<()> {
     let peers = args.peers.as_deref().map_or_else(|| Ok(Vec::new()), peers::read)?;
     let configurations: &[Configuration] =
         if args.ablation { &Configuration::ABLATION } else { &[Configuration::Default] };
+    let reference_before = reference::reference_ms();
     let mut rows = Vec::new();
     for dataset in &args.datasets {
         for configuration in configurations {
             rows.push(measure(&args, dataset, *configuration).await?);
         }
     }
-    let machine = Machine::this();
+    let machine = Machine::this([reference_before, reference::reference_ms()]);
     if let Some(section) = section {
         let command = command_line(&args);
         section.write(&markdown::section(section.name(), &command, &machine, &rows, &peers))?;
@@ -104,6 +110,8 @@ pub async fn run(args: BenchArgs) -> Result<()> {
         );
     } else {
         print!("{}", markdown::tables(Place::Alone, &rows, &peers));
+        let [before, after] = machine.reference_ms;
+        println!("The reference job took {before:.0} ms before and {after:.0} ms after.");
     }
     Ok(())
 }
@@ -118,6 +126,7 @@ async fn measure(args: &BenchArgs, dataset: &Path, configuration: Configuration)
             configuration,
             pace: args.pace,
             deterministic: args.deterministic,
+            streams: args.streams,
             seed,
             playback: args.playback,
             report: args
@@ -163,6 +172,7 @@ fn command_line(args: &BenchArgs) -> String {
     let mut words = vec![format!("--runs {} --pace {}", args.runs, args.pace.name())];
     words.extend(args.ablation.then(|| "--ablation".to_owned()));
     words.extend(args.deterministic.then(|| "--deterministic".to_owned()));
+    words.extend((args.streams > 1).then(|| format!("--streams {}", args.streams)));
     words.extend(args.layout.map(|layout| format!("--layout {layout}")));
     words.extend(args.playback.words());
     words.extend(args.peers.as_deref().and_then(name).map(|peers| format!("--peers {peers}")));

@@ -52,6 +52,8 @@ pub struct Row {
     pub wall_ms: Option<Distribution>,
     /// Processor time of the tracking thread per frame, likewise.
     pub tracking_cpu_ms: Option<Distribution>,
+    /// Processor time of server and client together for a frame, all threads, milliseconds.
+    pub process_cpu_ms: Option<Spread>,
     /// Wall time by stage, likewise.
     pub stages: Vec<StageSummary>,
     /// Duration of the recording over that of the run.
@@ -80,6 +82,7 @@ impl Row {
             primitives: over(|run| Some(run.summary.primitives as f64)),
             wall_ms: typical(runs.iter().filter_map(|run| run.summary.wall_ms)),
             tracking_cpu_ms: typical(runs.iter().filter_map(|run| run.summary.tracking_cpu_ms)),
+            process_cpu_ms: over(|run| run.process_cpu_ms),
             stages: stages(&runs),
             realtime_factor: over(|run| Some(run.summary.realtime_factor)),
             dropped: over(|run| Some(run.summary.dropped as f64 / run.summary.frames.max(1) as f64)),
@@ -132,6 +135,7 @@ mod tests {
                 ..Default::default()
             },
             peak_memory_mib: None,
+            process_cpu_ms: Some(3.0 * wall_ms),
         }
     }
 
@@ -143,6 +147,7 @@ mod tests {
         assert_eq!(row.wall_ms, Some(Distribution { median: 8.0, p95: 16.0 }));
         assert_eq!((row.stages.len(), row.stages[0].ms.median), (1, 2.0));
         assert_eq!((row.ate_rmse, row.peak_memory_mib), (None, None));
+        assert_eq!(row.process_cpu_ms.unwrap().median, 24.0);
         assert_eq!(row.dropped.unwrap().median, 0.1);
         assert!(Row::new("P", Vec::new()).is_none());
     }
