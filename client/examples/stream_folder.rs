@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use client::{
-    FrameAnswer, FrameSource, HttpClient, Recording, SlamClient, StreamEvent, StreamPlan, stream_frames, v1,
+    FrameAnswer, FrameSource, Recording, SlamClient, StreamEvent, StreamPlan, stream_frames, v1,
 };
 
 #[tokio::main]
@@ -35,7 +35,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
     .await?;
     eprintln!("{}: {} of {} frames tracked", session.id, summary.tracked, summary.frames);
 
-    let trajectory = HttpClient::new(client.http_address().await?).trajectory(&session.id).await?;
+    let trajectory = client.http().await?.trajectory(&session.id).await?;
     print!("{}", trajectory.to_tum());
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! What a client asks of a session, and what the engine runs with then.
 
-use crate::error::{ApiError, ErrorCode, FieldViolation};
+use crate::error::{ApiError, FieldViolation};
 use serde::{Deserialize, Serialize};
 use slam::{FeatureSwitches, SlamConfig, Threading};
 use store::SessionRecord;

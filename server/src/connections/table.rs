@@ -90,11 +90,6 @@ impl Table {
         Arc::new(Self { limits, max_total, start: Instant::now(), entries: Mutex::default() })
     }
 
-    /// The limits.
-    pub fn limits(&self) -> &ConnectionConfig {
-        &self.limits
-    }
-
     /// A place for a new connection, closing one that is idle where there is none.
     ///
     /// # Errors
@@ -129,11 +124,6 @@ impl Table {
         entries.all.insert(number, activity.clone());
         *entries.per_address.entry(address).or_default() += 1;
         Ok(Place { table: self.clone(), number, activity })
-    }
-
-    /// Connections there are.
-    pub fn len(&self) -> usize {
-        self.lock().all.len()
     }
 
     /// Closes what stands still for too long, until `ended`; what is idle or stalls while the server shuts
@@ -312,7 +302,7 @@ mod tests {
         let _second = table.admit(A).unwrap();
         assert!(of_a.activity.drop.is_cancelled() && !of_b.activity.drop.is_cancelled());
         drop(of_b);
-        assert_eq!(table.len(), 1);
+        assert_eq!(table.lock().all.len(), 1);
     }
 
     #[test]

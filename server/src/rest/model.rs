@@ -5,7 +5,7 @@ use crate::error::ApiError;
 use crate::model::{Camera, Scale, State};
 use crate::options::SessionOptions;
 use crate::service::NewSession;
-use crate::session::{SessionId, SessionView};
+use crate::session::SessionView;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
