@@ -6,9 +6,7 @@ use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
 
-use client::{
-    FrameAnswer, FrameSource, Recording, SlamClient, StreamEvent, StreamPlan, stream_frames, v1,
-};
+use client::{FrameAnswer, FrameSource, Recording, SlamClient, StreamEvent, StreamPlan, stream_frames, v1};
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn Error>> {

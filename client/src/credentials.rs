@@ -51,7 +51,8 @@ impl Credentials {
         // The system's certificates are not read for nothing.
         let roots = if is_encrypted { self.roots()? } else { RootCertStore::empty() };
         let provider = rustls::crypto::ring::default_provider();
-        let config = ClientConfig::builder_with_provider(provider.into()).with_safe_default_protocol_versions();
+        let config =
+            ClientConfig::builder_with_provider(provider.into()).with_safe_default_protocol_versions();
         let config = config.map_err(|error| ClientError::Credentials(error.to_string()))?;
         let config = config.with_root_certificates(roots).with_no_client_auth();
         Ok(HttpsConnectorBuilder::new().with_tls_config(config).https_or_http().enable_http1().build())
@@ -74,7 +75,8 @@ impl Credentials {
     /// The header `authorization`.
     pub(crate) fn header(&self) -> Result<Option<MetadataValue<Ascii>>, ClientError> {
         let Some(token) = &self.token else { return Ok(None) };
-        let refuse = |_| ClientError::Credentials("a token is one line of letters, digits, `-` and `_`".to_owned());
+        let refuse =
+            |_| ClientError::Credentials("a token is one line of letters, digits, `-` and `_`".to_owned());
         let mut header: MetadataValue<Ascii> = format!("Bearer {}", token.trim()).parse().map_err(refuse)?;
         header.set_sensitive(true);
         Ok(Some(header))

@@ -6,10 +6,10 @@ use std::str::FromStr;
 
 use bytes::Bytes;
 use http_body_util::{BodyExt, Empty, Limited};
+use hyper::body::{Body, Incoming};
 use hyper::header::{AUTHORIZATION, HeaderValue};
 use hyper::{Request, Response};
 use hyper_rustls::HttpsConnector;
-use hyper::body::{Body, Incoming};
 use hyper_util::client::legacy::Client;
 use hyper_util::client::legacy::connect::HttpConnector;
 use hyper_util::rt::TokioExecutor;
@@ -172,7 +172,8 @@ impl HttpClient {
         let address = address.into().trim_end_matches('/').to_owned();
         let token = credentials.header()?;
         let authorization = token.and_then(|header| HeaderValue::from_bytes(header.as_encoded_bytes()).ok());
-        let http = Client::builder(TokioExecutor::new()).build(credentials.connector(address.starts_with("https:"))?);
+        let http = Client::builder(TokioExecutor::new())
+            .build(credentials.connector(address.starts_with("https:"))?);
         Ok(Self { address, authorization, http })
     }
 

@@ -62,6 +62,8 @@ pub enum ErrorCode {
     RateLimited,
     /// One caller uses as much as it may.
     QuotaExceeded,
+    /// As many connections are in use as the server takes.
+    TooManyConnections,
     /// A stream that was opened and not used made way for another.
     IdleStream,
     /// Our own fault.
@@ -99,6 +101,7 @@ impl ErrorCode {
             Self::ForeignOrigin => "FOREIGN_ORIGIN",
             Self::RateLimited => "RATE_LIMITED",
             Self::QuotaExceeded => "QUOTA_EXCEEDED",
+            Self::TooManyConnections => "TOO_MANY_CONNECTIONS",
             Self::IdleStream => "IDLE_STREAM",
             Self::Internal => "INTERNAL",
         }
@@ -134,6 +137,7 @@ impl ErrorCode {
             Self::ForeignOrigin => "A page of somebody else",
             Self::RateLimited => "Too many requests",
             Self::QuotaExceeded => "The quota is used up",
+            Self::TooManyConnections => "Too many connections",
             Self::IdleStream => "The stream was not used",
             Self::Internal => "Internal error",
         }
@@ -160,6 +164,7 @@ impl ErrorCode {
             | Self::TooBusy
             | Self::RateLimited
             | Self::QuotaExceeded
+            | Self::TooManyConnections
             | Self::MessageTooLarge
             | Self::StorageFull => Code::ResourceExhausted,
             Self::StorageFailed | Self::ShuttingDown => Code::Unavailable,
@@ -193,7 +198,9 @@ impl ErrorCode {
             | Self::QuotaExceeded => StatusCode::TOO_MANY_REQUESTS,
             Self::MessageTooLarge => StatusCode::PAYLOAD_TOO_LARGE,
             Self::StorageFull => StatusCode::INSUFFICIENT_STORAGE,
-            Self::StorageFailed | Self::ShuttingDown => StatusCode::SERVICE_UNAVAILABLE,
+            Self::StorageFailed | Self::ShuttingDown | Self::TooManyConnections => {
+                StatusCode::SERVICE_UNAVAILABLE
+            }
             Self::DataLoss | Self::SessionFailed | Self::Internal => StatusCode::INTERNAL_SERVER_ERROR,
         }
     }

@@ -172,7 +172,10 @@ pub fn validate(
         ensure!((1..=1_000_000).contains(&count), "{field} is {count} but must be 1 to 1000000");
     }
     if let Some(rate) = quotas.max_frames_per_s {
-        ensure!((0.01..=1e6).contains(&rate), "quotas.max_frames_per_s is {rate} but must be 0.01 to 1000000");
+        ensure!(
+            (0.01..=1e6).contains(&rate),
+            "quotas.max_frames_per_s is {rate} but must be 0.01 to 1000000"
+        );
     }
     ensure!(
         tls.cert.is_some() == tls.key.is_some(),

@@ -1,8 +1,8 @@
 //! `--quick-share`: a phone in the same network as this machine's camera, without setting anything up.
 //!
-//! Browsers give pages a camera over HTTPS only, so the server makes a certificate of its own, which the phone
-//! asks its owner about once. The address with a token in it is shown as a QR code. The token is in memory
-//! alone, ends with the server, and leads to sessions of the owner `quick-share`.
+//! Browsers give pages a camera over HTTPS only, so the server makes a certificate of its own, which the
+//! phone asks its owner about once. The address with a token in it is shown as a QR code. The token is in
+//! memory alone, ends with the server, and leads to sessions of the owner `quick-share`.
 
 use crate::access::{new_token, token_hash};
 use crate::clock::since_1970_ns;
@@ -111,10 +111,13 @@ impl QuickShare {
 /// The address by which others in the network reach this machine. Nothing is sent.
 fn own_address() -> anyhow::Result<IpAddr> {
     // Of a network that is for documents only (RFC 5737): the way there is the way to everywhere.
-    let found = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))
-        .and_then(|socket| socket.connect((Ipv4Addr::new(192, 0, 2, 1), 9)).and_then(|()| socket.local_addr()));
+    let found = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).and_then(|socket| {
+        socket.connect((Ipv4Addr::new(192, 0, 2, 1), 9)).and_then(|()| socket.local_addr())
+    });
     let address = found.map(|addr| addr.ip()).ok().filter(|ip| !ip.is_loopback() && !ip.is_unspecified());
-    address.context("this machine seems to be in no network; say by --http-addr at which address a phone reaches it")
+    address.context(
+        "this machine seems to be in no network; say by --http-addr at which address a phone reaches it",
+    )
 }
 
 /// Whether the certificate in the folder is for this address and not too old.

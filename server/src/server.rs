@@ -70,7 +70,18 @@ impl Server {
         let encrypted = if tls.is_some() { ", encrypted" } else { "" };
         tracing::info!(%grpc_addr, %http_addr, "serving gRPC on {grpc_addr} and HTTP on {http_addr}{encrypted}");
         let ended = ended.drop_guard();
-        Ok(Running { grpc_addr, http_addr, service, store, tls, closing, tasks, grace, _ended: ended, _lock: lock })
+        Ok(Running {
+            grpc_addr,
+            http_addr,
+            service,
+            store,
+            tls,
+            closing,
+            tasks,
+            grace,
+            _ended: ended,
+            _lock: lock,
+        })
     }
 }
 
@@ -216,7 +227,8 @@ pub async fn open_store(config: &Config) -> anyhow::Result<Store> {
 /// If the database cannot be opened.
 pub async fn open_store_beside(config: &Config) -> anyhow::Result<Store> {
     let folder = &config.data_dir;
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     let path = folder.join(DATABASE_FILE);
     let opened = Store::open_beside(&path, StoreOptions::default()).await;
     opened.with_context(|| format!("cannot open the database {}", path.display()))

@@ -131,7 +131,11 @@ impl Service {
     ///
     /// # Errors
     /// If the page token is none of ours.
-    pub async fn list_sessions(&self, caller: &Caller, page: &PageRequest) -> Result<Page<SessionView>, ApiError> {
+    pub async fn list_sessions(
+        &self,
+        caller: &Caller,
+        page: &PageRequest,
+    ) -> Result<Page<SessionView>, ApiError> {
         // A token is the last id of the page before.
         let after = page.token().map(|token| caller.session(token, "page_token")).transpose()?;
         let after = after.as_ref().map(SessionId::as_str);
@@ -315,7 +319,8 @@ impl Service {
         if self.store.count_sessions_of(&caller.prefix()).await? < limit {
             return Ok(());
         }
-        let sentence = format!("there are {limit} sessions, as many as may be made with this token; delete one first");
+        let sentence =
+            format!("there are {limit} sessions, as many as may be made with this token; delete one first");
         Err(ApiError::new(ErrorCode::QuotaExceeded, sentence))
     }
 
@@ -353,7 +358,9 @@ async fn check_stored_bytes(store: &Store, caller: &Caller) -> Result<(), ApiErr
     if n_bytes < limit {
         return Ok(());
     }
-    let sentence = format!("the sessions hold {n_bytes} bytes, and {limit} is what this token may store; delete some first");
+    let sentence = format!(
+        "the sessions hold {n_bytes} bytes, and {limit} is what this token may store; delete some first"
+    );
     Err(ApiError::new(ErrorCode::QuotaExceeded, sentence))
 }
 

@@ -93,7 +93,8 @@ async fn create(store: &Store, args: CreateArgs, out: &mut impl Write) -> anyhow
     let created_at_ns = since_1970_ns();
     let day_ns = Duration::from_secs(24 * 3600).as_nanos() as i64;
     let expires_at_ns = days.map(|days| created_at_ns.saturating_add(i64::from(days).saturating_mul(day_ns)));
-    let quotas = TokenQuotas { max_sessions, max_streams, max_frames_per_s: max_fps, max_stored_bytes: max_bytes };
+    let quotas =
+        TokenQuotas { max_sessions, max_streams, max_frames_per_s: max_fps, max_stored_bytes: max_bytes };
     let token = new_token();
     let hash = token_hash(&token);
     let new = NewToken { name, hash, role, owner, created_at_ns, expires_at_ns, quotas };

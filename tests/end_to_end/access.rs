@@ -15,7 +15,12 @@ use tonic_types::StatusExt;
 /// The named time within which a token that was made or revoked is noticed, with room for a busy machine.
 const NOTICED_WITHIN: Duration = Duration::from_secs(5);
 
-async fn http(server: &TestServer, method: Method, path: &str, headers: &[(&str, &str)]) -> reqwest::Response {
+async fn http(
+    server: &TestServer,
+    method: Method,
+    path: &str,
+    headers: &[(&str, &str)],
+) -> reqwest::Response {
     let url = format!("http://{}{path}", server.running().http_addr);
     let mut request = reqwest::Client::new().request(method, url);
     for (name, value) in headers {
@@ -51,11 +56,8 @@ async fn lab() -> Lab {
 
 impl Lab {
     async fn create(&self, token: &str, id: &str) -> Result<v1::Session, Status> {
-        let request = v1::CreateSessionRequest {
-            session_id: id.into(),
-            camera: Some(camera(320, 240)),
-            options: None,
-        };
+        let request =
+            v1::CreateSessionRequest { session_id: id.into(), camera: Some(camera(320, 240)), options: None };
         let answer = self.server.client().await.create_session(with_token(token, request)).await;
         answer.map(tonic::Response::into_inner)
     }

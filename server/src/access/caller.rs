@@ -170,7 +170,8 @@ impl Caller {
         let mut streams = self.0.streams.lock().unwrap_or_else(PoisonError::into_inner);
         streams.retain(|stream| stream.upgrade().is_some_and(|queue| !queue.is_closed()));
         if streams.len() as u64 >= limit {
-            let sentence = format!("{limit} streams are open with this token, as many as it may; end one first");
+            let sentence =
+                format!("{limit} streams are open with this token, as many as it may; end one first");
             return Err(ApiError::new(ErrorCode::QuotaExceeded, sentence));
         }
         streams.push(Arc::downgrade(queue));

@@ -57,7 +57,8 @@ impl Pages {
         if is_own || self.origins.iter().any(|allowed| allowed == origin) {
             return Ok(());
         }
-        let sentence = "only pages of this server and those of access.cors_origins may do that from a browser";
+        let sentence =
+            "only pages of this server and those of access.cors_origins may do that from a browser";
         Err(ApiError::new(ErrorCode::ForeignOrigin, sentence))
     }
 }
@@ -102,7 +103,15 @@ mod tests {
     fn names_that_others_can_lead_here_are_refused() {
         let pages = Pages::new(&["Maps.Example".to_owned()], &[]);
         let check = |host| pages.check_host(&headers(None, host), &Uri::from_static("/"));
-        for host in ["127.0.0.1:8080", "[::1]:8080", "localhost:1", "slam:8080", "a.localhost", "maps.example", "10.0.0.7"] {
+        for host in [
+            "127.0.0.1:8080",
+            "[::1]:8080",
+            "localhost:1",
+            "slam:8080",
+            "a.localhost",
+            "maps.example",
+            "10.0.0.7",
+        ] {
             assert!(check(host).is_ok(), "{host}");
         }
         for host in ["evil.example", "evil.example:8080", "127.0.0.1.evil.example", "maps.example.evil"] {

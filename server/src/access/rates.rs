@@ -59,7 +59,8 @@ impl FrameRate {
     pub fn new(per_s: f64) -> Self {
         let period = Duration::from_secs_f64(1.0 / per_s.max(1e-6));
         let burst = NonZeroU32::new((2.0 * per_s).ceil() as u32).unwrap_or(NonZeroU32::MIN);
-        let quota = Quota::with_period(period).unwrap_or(Quota::per_second(NonZeroU32::MAX)).allow_burst(burst);
+        let quota =
+            Quota::with_period(period).unwrap_or(Quota::per_second(NonZeroU32::MAX)).allow_burst(burst);
         Self { limiter: Arc::new(RateLimiter::direct(quota)), per_s }
     }
 

@@ -17,8 +17,16 @@ pub enum Need {
 
 /// Calls that read.
 const READING: [&str; 10] = [
-    "GetSession", "ListSessions", "Localize", "WatchMap", "ListKeyframes", "QueryPoints", "QueryLines",
-    "ListPrimitives", "GetTrajectory", "ExportMap",
+    "GetSession",
+    "ListSessions",
+    "Localize",
+    "WatchMap",
+    "ListKeyframes",
+    "QueryPoints",
+    "QueryLines",
+    "ListPrimitives",
+    "GetTrajectory",
+    "ExportMap",
 ];
 
 /// Calls that change something.
@@ -34,9 +42,9 @@ pub fn of_call(path: &str) -> Need {
         "monoslam.v1.SlamService" if READING.contains(&method) => Need::Role(Role::Reader),
         "monoslam.v1.SlamService" if WRITING.contains(&method) => Need::Role(Role::Writer),
         // What the service looks like is in every program; whether it lives is for those that watch it.
-        "grpc.health.v1.Health" | "grpc.reflection.v1.ServerReflection" | "grpc.reflection.v1alpha.ServerReflection" => {
-            Need::Nothing
-        }
+        "grpc.health.v1.Health"
+        | "grpc.reflection.v1.ServerReflection"
+        | "grpc.reflection.v1alpha.ServerReflection" => Need::Nothing,
         _ => Need::Role(Role::Admin),
     }
 }

@@ -1,16 +1,16 @@
 //! Tickets: what a browser shows in a cookie where it can send no token, as for events, streams and pictures.
 //!
 //! A page gets one with its token. It says whose it is and until when, and is signed with a key that this
-//! process made and nobody else has: nothing is kept, and a restart ends all of them. The server takes tickets
-//! for reading and, from its own pages, for streams; changes need the token itself, which no foreign page can
-//! send.
+//! process made and nobody else has: nothing is kept, and a restart ends all of them. The server takes
+//! tickets for reading and, from its own pages, for streams; changes need the token itself, which no foreign
+//! page can send.
 
 use super::Keys;
 use crate::clock::since_1970_ns;
-use base64::Engine as _;
-use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use axum::http::HeaderMap;
 use axum::http::header::{COOKIE, HOST};
+use base64::Engine as _;
+use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use ring::hmac;
 use ring::rand::SystemRandom;
 use std::time::Duration;
@@ -65,7 +65,8 @@ impl Tickets {
     pub fn of_request(&self, headers: &HeaderMap, keys: &Keys) -> Option<super::Caller> {
         let name = cookie_name(headers);
         let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
-        let pairs = cookies.flat_map(|cookies| cookies.split(';')).filter_map(|pair| pair.trim().split_once('='));
+        let pairs =
+            cookies.flat_map(|cookies| cookies.split(';')).filter_map(|pair| pair.trim().split_once('='));
         let mut tickets = pairs.filter(|(found, _)| *found == name).map(|(_, ticket)| ticket);
         tickets.find_map(|ticket| keys.numbered(self.check(ticket)?))
     }
@@ -74,7 +75,8 @@ impl Tickets {
 /// The name of the cookie: browsers give all ports of a host the same cookies, and each may be a server.
 pub fn cookie_name(headers: &HeaderMap) -> String {
     let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
-    let port = host.rsplit_once(':').map(|(_, port)| port).filter(|port| port.bytes().all(|b| b.is_ascii_digit()));
+    let port =
+        host.rsplit_once(':').map(|(_, port)| port).filter(|port| port.bytes().all(|b| b.is_ascii_digit()));
     format!("monoslam_ticket_{}", port.unwrap_or("0"))
 }
 

@@ -180,11 +180,7 @@ impl Connection {
         let header_timeout = span(self.place.limits().header_timeout_s);
         let mut builder = Builder::new(TokioExecutor::new());
         builder.http1().timer(TokioTimer::new()).header_read_timeout(header_timeout);
-        builder
-            .http2()
-            .timer(TokioTimer::new())
-            .keep_alive_interval(KEEPALIVE)
-            .keep_alive_timeout(KEEPALIVE);
+        builder.http2().timer(TokioTimer::new()).keep_alive_interval(KEEPALIVE).keep_alive_timeout(KEEPALIVE);
         match self.interface {
             Interface::Grpc => builder.http2_only(),
             Interface::Http => builder,

@@ -68,7 +68,9 @@ pub enum Full {
 impl std::fmt::Display for Full {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::OfAddress(n) => write!(f, "{n} connections of this address are in use, as many as this server takes of one"),
+            Self::OfAddress(n) => {
+                write!(f, "{n} connections of this address are in use, as many as this server takes of one")
+            }
             Self::InAll(n) => write!(f, "{n} connections are in use, as many as this server takes"),
         }
     }

@@ -20,7 +20,10 @@ use std::time::Instant;
 use store::MAX_SEQUENCE;
 use vision::decode::PixelFormat;
 
-pub(super) fn new_session(caller: &Caller, request: v1::CreateSessionRequest) -> Result<NewSession, ApiError> {
+pub(super) fn new_session(
+    caller: &Caller,
+    request: v1::CreateSessionRequest,
+) -> Result<NewSession, ApiError> {
     let v1::CreateSessionRequest { session_id, camera, options } = request;
     let id = if session_id.is_empty() { None } else { Some(caller.session(&session_id, "session_id")?) };
     let camera = camera.ok_or_else(|| ApiError::invalid("camera", "a session needs a camera"))?;

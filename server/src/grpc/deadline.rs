@@ -1,9 +1,9 @@
 //! Deadlines of calls, as clients send them in `grpc-timeout`.
 
 use axum::extract::Request;
+use axum::http::HeaderMap;
 use axum::middleware::Next;
 use axum::response::Response;
-use axum::http::HeaderMap;
 use std::time::Duration;
 use tonic::Status;
 
@@ -39,7 +39,12 @@ mod tests {
 
     #[test]
     fn timeouts_are_read_as_they_are_sent() {
-        let read = |text| timeout(&HeaderMap::from_iter([("grpc-timeout".parse().unwrap(), HeaderValue::from_static(text))]));
+        let read = |text| {
+            timeout(&HeaderMap::from_iter([(
+                "grpc-timeout".parse().unwrap(),
+                HeaderValue::from_static(text),
+            )]))
+        };
         assert_eq!(read("250m"), Some(Duration::from_millis(250)));
         assert_eq!(read("3H"), Some(Duration::from_secs(10_800)));
         for text in ["", "S", "5", "5d", "123456789S", "-1S"] {

@@ -46,8 +46,11 @@ pub(super) async fn create(
     (status = 200, description = "The session", body = Session),
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
-pub(super) async fn get(State(app): State<App>,
-    AskedBy(caller): AskedBy, Path(id): Path<String>) -> Result<Json<Session>, ApiError> {
+pub(super) async fn get(
+    State(app): State<App>,
+    AskedBy(caller): AskedBy,
+    Path(id): Path<String>,
+) -> Result<Json<Session>, ApiError> {
     Ok(Json(app.service.get_session(&caller.session(&id, "id")?).await?.into()))
 }
 
@@ -92,8 +95,11 @@ pub(super) async fn scale(
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 501, description = "Not in this version", body = ProblemDetails, content_type = "application/problem+json")
 ))]
-pub(super) async fn optimize(State(app): State<App>,
-    AskedBy(caller): AskedBy, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
+pub(super) async fn optimize(
+    State(app): State<App>,
+    AskedBy(caller): AskedBy,
+    Path(id): Path<String>,
+) -> Result<StatusCode, ApiError> {
     app.service.optimize(&caller.session(&id, "id")?).await?;
     Ok(StatusCode::NO_CONTENT)
 }
@@ -104,8 +110,11 @@ pub(super) async fn optimize(State(app): State<App>,
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 409, description = "A writer is connected", body = ProblemDetails, content_type = "application/problem+json")
 ))]
-pub(super) async fn delete(State(app): State<App>,
-    AskedBy(caller): AskedBy, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
+pub(super) async fn delete(
+    State(app): State<App>,
+    AskedBy(caller): AskedBy,
+    Path(id): Path<String>,
+) -> Result<StatusCode, ApiError> {
     app.service.delete_session(&caller, &caller.session(&id, "id")?).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -193,7 +193,11 @@ async fn write_answers(
 }
 
 /// Queues frames until the client says that there are no more, is gone, or breaks the rules.
-async fn read_frames(caller: &Caller, source: &mut SplitStream<WebSocket>, queue: &FrameQueue) -> Result<(), ApiError> {
+async fn read_frames(
+    caller: &Caller,
+    source: &mut SplitStream<WebSocket>,
+    queue: &FrameQueue,
+) -> Result<(), ApiError> {
     while let Ok(Some(message)) = tokio::time::timeout(PATIENCE, source.next()).await {
         let item = match message {
             Ok(Message::Binary(bytes)) => frame(bytes)?,

@@ -5,10 +5,10 @@ use super::{App, ProblemDetails};
 use crate::access::{Role, Ticket, cookie_name};
 use crate::connections::Peer;
 use crate::error::ApiError;
+use axum::Json;
 use axum::extract::State;
 use axum::http::header::SET_COOKIE;
 use axum::http::{Extensions, HeaderMap, HeaderName, StatusCode};
-use axum::Json;
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -44,13 +44,17 @@ pub(super) async fn issue(
         owner: caller.owner().map(str::to_owned),
         expires_in_s: ticket.as_ref().map(|ticket| ticket.lifetime.as_secs()),
     };
-    let cookie = ticket.map(|Ticket { value, lifetime }| cookie(&headers, &extensions, &value, lifetime.as_secs()));
+    let cookie =
+        ticket.map(|Ticket { value, lifetime }| cookie(&headers, &extensions, &value, lifetime.as_secs()));
     Ok((cookie.map(|cookie| [(SET_COOKIE, cookie)]), Json(admission)))
 }
 
 /// Has a browser forget its ticket.
 #[utoipa::path(delete, path = "/v1/tickets", tag = "system", responses((status = 204, description = "It does")))]
-pub(super) async fn forget(headers: HeaderMap, extensions: Extensions) -> (StatusCode, [(HeaderName, String); 1]) {
+pub(super) async fn forget(
+    headers: HeaderMap,
+    extensions: Extensions,
+) -> (StatusCode, [(HeaderName, String); 1]) {
     (StatusCode::NO_CONTENT, [(SET_COOKIE, cookie(&headers, &extensions, "", 0))])
 }
 

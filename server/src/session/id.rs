@@ -33,8 +33,13 @@ impl SessionId {
     /// If the string is not a valid id.
     pub fn within(owner: Option<&str>, text: &str, field: &str) -> Result<Self, ApiError> {
         match owner {
-            Some(owner) if is_name(text) => Ok(Self::stored(Some(owner), format!("{owner}{OWNER_END}{text}"))),
-            None if text.split_once(OWNER_END).map_or(is_name(text), |(owner, name)| is_name(owner) && is_name(name)) => {
+            Some(owner) if is_name(text) => {
+                Ok(Self::stored(Some(owner), format!("{owner}{OWNER_END}{text}")))
+            }
+            None if text
+                .split_once(OWNER_END)
+                .map_or(is_name(text), |(owner, name)| is_name(owner) && is_name(name)) =>
+            {
                 Ok(Self::stored(None, text.to_owned()))
             }
             _ => {
@@ -121,7 +126,9 @@ mod tests {
 
     #[test]
     fn ids_that_could_mean_something_else_are_refused() {
-        for text in ["", ".", "..", "../x", "a/b", "a b", "a%2f", "ä", "a\0", "~a", "a~", "a~b~c", &"x".repeat(65)] {
+        for text in
+            ["", ".", "..", "../x", "a/b", "a b", "a%2f", "ä", "a\0", "~a", "a~", "a~b~c", &"x".repeat(65)]
+        {
             assert!(SessionId::within(None, text, "session_id").is_err(), "{text:?} was accepted");
             assert!(SessionId::within(Some("o"), text, "session_id").is_err(), "{text:?} was accepted");
         }

@@ -133,7 +133,8 @@ impl<K: Ord + Clone, R: Resident, T: Clone + Default> Slots<K, R, T> {
             if let Some(room) = self.free_room() {
                 return Ok(room);
             }
-            if let Some((_held, idle)) = self.all().into_iter().find_map(|slot| hold(slot, |r| !r.is_busy())) {
+            if let Some((_held, idle)) = self.all().into_iter().find_map(|slot| hold(slot, |r| !r.is_busy()))
+            {
                 idle.leave();
                 idle.ended().await;
                 continue;
@@ -184,7 +185,10 @@ impl<K: Ord + Clone, R: Resident, T: Clone + Default> Slots<K, R, T> {
 }
 
 /// A session of this kind, with its place; `None` if it is not, or someone else holds the place.
-fn hold<R: Resident, T>(slot: Arc<Slot<R, T>>, is_wanted: impl Fn(&R) -> bool) -> Option<(Held<R, T>, Arc<R>)> {
+fn hold<R: Resident, T>(
+    slot: Arc<Slot<R, T>>,
+    is_wanted: impl Fn(&R) -> bool,
+) -> Option<(Held<R, T>, Arc<R>)> {
     let opening = slot.opening.clone().try_lock_owned().ok()?;
     let resident = slot.resident().filter(|resident| is_wanted(resident))?;
     Some((Held { slot, _opening: opening }, resident))
