@@ -7,7 +7,7 @@ import { emptyServer } from './servers.mjs';
 import { fakeCamera } from './video.mjs';
 
 /** A name that is not this machine's own, so that the page is not secure. */
-const ELSEWHERE = 'elsewhere.example';
+const ELSEWHERE = 'elsewhere';
 
 const state = (page, wanted) => page.waitForSelector(`.capture[data-state="${wanted}"]`, { timeout: 60_000 });
 const pictures = async (page) => Number(/(\d+) pictures/.exec((await page.locator('.figures-line').textContent()) ?? '')?.[1] ?? 0);

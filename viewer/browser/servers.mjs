@@ -1,6 +1,6 @@
 /** Real servers for the browser's tests: an empty one, and the demonstration with its stream. */
 
-import { spawn } from 'node:child_process';
+import { execFileSync, spawn } from 'node:child_process';
 import { mkdtempSync, rmSync } from 'node:fs';
 import { createServer } from 'node:net';
 import { tmpdir } from 'node:os';
@@ -51,8 +51,12 @@ export async function emptyServer() {
     await stop();
     rmSync(data, { recursive: true, force: true });
   };
+  const makeToken = (name) => {
+    const options = ['token', 'create', name, '--data-dir', data];
+    return execFileSync(join(PROGRAMS, 'monoslam-server'), options, { stdio: ['ignore', 'pipe', 'ignore'] }).toString().trim();
+  };
   await start();
-  return { url, start, stop, remove };
+  return { url, start, stop, remove, makeToken };
 }
 
 /** The demonstration: a server that a synthetic room is being streamed through. */

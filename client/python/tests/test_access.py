@@ -16,7 +16,7 @@ from monoslam.aio import AsyncClient
 
 from conftest import Server, program
 
-CAMERA = Camera("pinhole", 320, 240, 320.0, 320.0, 159.5, 119.5)
+CAMERA = Camera.from_field_of_view(320, 240, 60.0)
 
 
 def token(data_dir: Path, name: str, role: str, *options: str) -> str:

@@ -93,7 +93,7 @@ impl Access {
         let is_reading = matches!(*request.method(), Method::GET | Method::HEAD);
         if interface == Interface::Http
             && is_reading
-            && let Some(caller) = self.tickets.of_request(request.headers(), &self.keys)
+            && let Some(caller) = self.tickets.of_request(request.headers(), request.uri(), &self.keys)
         {
             return Ok(caller);
         }

@@ -7,8 +7,9 @@
 
 use super::Keys;
 use crate::clock::since_1970_ns;
-use axum::http::HeaderMap;
 use axum::http::header::{COOKIE, HOST};
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, Uri};
 use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use ring::hmac;
@@ -62,8 +63,8 @@ impl Tickets {
     }
 
     /// The number of the token of a request's ticket, if it brings a good one.
-    pub fn of_request(&self, headers: &HeaderMap, keys: &Keys) -> Option<super::Caller> {
-        let name = cookie_name(headers);
+    pub fn of_request(&self, headers: &HeaderMap, uri: &Uri, keys: &Keys) -> Option<super::Caller> {
+        let name = cookie_name(headers, uri);
         let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
         let pairs =
             cookies.flat_map(|cookies| cookies.split(';')).filter_map(|pair| pair.trim().split_once('='));
@@ -72,17 +73,28 @@ impl Tickets {
     }
 }
 
-/// The name of the cookie: browsers give all ports of a host the same cookies, and each may be a server.
-pub fn cookie_name(headers: &HeaderMap) -> String {
-    let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
-    let port =
-        host.rsplit_once(':').map(|(_, port)| port).filter(|port| port.bytes().all(|b| b.is_ascii_digit()));
-    format!("monoslam_ticket_{}", port.unwrap_or("0"))
+/// The name of the cookie: browsers give all ports of a host the same cookies, and each may be a server. Over
+/// HTTP/2 host and port are in the address.
+pub fn cookie_name(headers: &HeaderMap, uri: &Uri) -> String {
+    let in_header = || headers.get(HOST).and_then(|host| host.to_str().ok()?.parse::<Authority>().ok());
+    let port = uri.port_u16().or_else(|| in_header()?.port_u16());
+    format!("monoslam_ticket_{}", port.unwrap_or(0))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_cookie_is_of_the_port_in_every_version_of_http() {
+        let host = |host| HeaderMap::from_iter([(HOST, axum::http::HeaderValue::from_static(host))]);
+        let relative = Uri::from_static("/v1/sessions");
+        assert_eq!(cookie_name(&host("slam:8443"), &relative), "monoslam_ticket_8443");
+        assert_eq!(cookie_name(&host("[::1]:8443"), &relative), "monoslam_ticket_8443");
+        let whole = Uri::from_static("https://slam:8443/v1/sessions");
+        assert_eq!(cookie_name(&HeaderMap::new(), &whole), "monoslam_ticket_8443");
+        assert_eq!(cookie_name(&host("slam"), &relative), "monoslam_ticket_0");
+    }
 
     #[test]
     fn a_ticket_is_good_for_its_time_and_as_it_was_signed() {

@@ -8,7 +8,7 @@ use crate::error::ApiError;
 use axum::Json;
 use axum::extract::State;
 use axum::http::header::SET_COOKIE;
-use axum::http::{Extensions, HeaderMap, HeaderName, StatusCode};
+use axum::http::{Extensions, HeaderMap, HeaderName, StatusCode, Uri};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -34,6 +34,7 @@ pub(super) struct Admission {
 pub(super) async fn issue(
     State(app): State<App>,
     AskedBy(caller): AskedBy,
+    uri: Uri,
     headers: HeaderMap,
     extensions: Extensions,
 ) -> Result<(Option<[(HeaderName, String); 1]>, Json<Admission>), ApiError> {
@@ -45,22 +46,23 @@ pub(super) async fn issue(
         expires_in_s: ticket.as_ref().map(|ticket| ticket.lifetime.as_secs()),
     };
     let cookie =
-        ticket.map(|Ticket { value, lifetime }| cookie(&headers, &extensions, &value, lifetime.as_secs()));
+        ticket.map(|Ticket { value, lifetime }| cookie(&uri, &headers, &extensions, &value, lifetime.as_secs()));
     Ok((cookie.map(|cookie| [(SET_COOKIE, cookie)]), Json(admission)))
 }
 
 /// Has a browser forget its ticket.
 #[utoipa::path(delete, path = "/v1/tickets", tag = "system", responses((status = 204, description = "It does")))]
 pub(super) async fn forget(
+    uri: Uri,
     headers: HeaderMap,
     extensions: Extensions,
 ) -> (StatusCode, [(HeaderName, String); 1]) {
-    (StatusCode::NO_CONTENT, [(SET_COOKIE, cookie(&headers, &extensions, "", 0))])
+    (StatusCode::NO_CONTENT, [(SET_COOKIE, cookie(&uri, &headers, &extensions, "", 0))])
 }
 
-fn cookie(headers: &HeaderMap, extensions: &Extensions, value: &str, seconds: u64) -> String {
+fn cookie(uri: &Uri, headers: &HeaderMap, extensions: &Extensions, value: &str, seconds: u64) -> String {
     let is_encrypted = extensions.get::<Peer>().is_some_and(|peer| peer.is_encrypted);
     let secure = if is_encrypted { "; Secure" } else { "" };
-    let name = cookie_name(headers);
+    let name = cookie_name(headers, uri);
     format!("{name}={value}; Path=/; Max-Age={seconds}; HttpOnly; SameSite=Strict{secure}")
 }
