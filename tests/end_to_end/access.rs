@@ -236,8 +236,8 @@ async fn quotas_are_refused_with_a_sentence() {
     let second = stream("b").await.1.message().await.unwrap_err();
     assert_eq!(second.code(), Code::ResourceExhausted);
     assert_eq!(second.get_error_details().error_info().unwrap().reason, "QUOTA_EXCEEDED");
-    // Two seconds' worth at once, which is one frame; the next one is too many. The image's size is wrong: both
-    // are rejected, for different reasons.
+    // Two seconds' worth at once, which is one frame; the next one is too many. The image's size is wrong:
+    // both are rejected, for different reasons.
     let mut reasons = Vec::new();
     for i in 0..2 {
         let message = v1::stream_frames_request::Message::Frame(frame(i, world.frame(0).image.unwrap()));

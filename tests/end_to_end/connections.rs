@@ -109,3 +109,20 @@ async fn requests_that_are_half_there_do_not_hold_up_the_end() {
     assert_eq!(server.shut_down().await.0, server::Shutdown::Complete);
     assert!(began.elapsed() < Duration::from_secs(4), "shutting down took {:?}", began.elapsed());
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_was_idle_for_long_goes_on() {
+    let server = TestServer::start_with(|config| config.connections.idle_timeout_s = 0.5).await;
+    let mut client = server.client().await;
+    for _ in 0..3 {
+        client.list_sessions(proto::v1::ListSessionsRequest::default()).await.unwrap();
+        tokio::time::sleep(Duration::from_millis(1200)).await;
+    }
+    // A stream that pauses is no idle connection.
+    let world = SmallWorld::new(1);
+    create_session(&mut client, "a", world.camera()).await.unwrap();
+    let mut stream = FrameStream::open(&mut client, open_message("a")).await.unwrap();
+    tokio::time::sleep(Duration::from_millis(1500)).await;
+    stream.track(world.frame(0)).await.unwrap();
+    stream.finish().await.unwrap();
+}

@@ -1,6 +1,6 @@
 //! Nobody sees another's sessions: every call of the contract and every route of the interface, with another
-//! owner's token, and with none. What there is to ask is read from the contract and the interface themselves, so
-//! that a new call or route cannot be forgotten.
+//! owner's token, and with none. What there is to ask is read from the contract and the interface
+//! themselves, so that a new call or route cannot be forgotten.
 
 use bytes::{Buf, BufMut, Bytes};
 use prost::Message as _;
@@ -60,16 +60,16 @@ impl Decoder for Raw {
 }
 
 /// Two owners; the first has a session that was streamed into.
-struct Owners {
-    server: TestServer,
-    ann: String,
-    bob: String,
+pub struct Owners {
+    pub server: TestServer,
+    pub ann: String,
+    pub bob: String,
 }
 
-const SESSION: &str = "kitchen";
+pub const SESSION: &str = "kitchen";
 const NO_SESSION: &str = "nowhere";
 
-async fn owners() -> Owners {
+pub async fn owners() -> Owners {
     let world = SmallWorld::new(1);
     let server = TestServer::start().await;
     let ann = server.token("ann", TokenRole::Writer).await;
@@ -89,7 +89,7 @@ async fn owners() -> Owners {
 }
 
 /// The calls of the contract.
-fn calls() -> Vec<MethodDescriptorProto> {
+pub fn calls() -> Vec<MethodDescriptorProto> {
     let set = FileDescriptorSet::decode(proto::FILE_DESCRIPTOR_SET).unwrap();
     let services =
         set.file.into_iter().filter(|file| file.package() == "monoslam.v1").flat_map(|file| file.service);
@@ -99,7 +99,7 @@ fn calls() -> Vec<MethodDescriptorProto> {
 }
 
 /// A request about a session, of a form that is complete enough to be looked up.
-fn request(method: &str, session: &str) -> Bytes {
+pub fn request(method: &str, session: &str) -> Bytes {
     let session_id = session.to_owned();
     let message = match method {
         "StreamFrames" => {
@@ -107,7 +107,7 @@ fn request(method: &str, session: &str) -> Bytes {
             v1::StreamFramesRequest { message }.encode_to_vec()
         }
         "Localize" => {
-            let image = Some(tests::raw_gray(320, 240, &[0; 320 * 240]));
+            let image = Some(tests::raw_gray(480, 360, &[0; 480 * 360]));
             v1::LocalizeRequest { session_id, image }.encode_to_vec()
         }
         "ExportMap" => {
@@ -121,7 +121,7 @@ fn request(method: &str, session: &str) -> Bytes {
 }
 
 /// What comes of a call: the first answer, or how it was refused.
-async fn call(
+pub async fn call(
     server: &TestServer,
     method: &str,
     message: Bytes,
@@ -179,7 +179,7 @@ async fn no_call_tells_of_anothers_session() {
 }
 
 /// Every route of the interface with its method.
-async fn routes(server: &TestServer) -> Vec<(String, String)> {
+pub async fn routes(server: &TestServer) -> Vec<(String, String)> {
     let document: Value = server.get_json("/openapi.json").await;
     let paths = document["paths"].as_object().unwrap();
     let methods = |(path, methods): (&String, &Value)| {
@@ -191,7 +191,7 @@ async fn routes(server: &TestServer) -> Vec<(String, String)> {
     routes
 }
 
-async fn ask(
+pub async fn ask(
     server: &TestServer,
     (method, path): &(String, String),
     session: &str,
@@ -210,7 +210,7 @@ async fn ask(
     let request = client.request(method.to_uppercase().parse().unwrap(), url);
     let request = match path.rsplit('/').next().unwrap() {
         "localize" => {
-            request.header("content-type", "image/png").body(tests::png(320, 240, &[0; 320 * 240]).data)
+            request.header("content-type", "image/png").body(tests::png(480, 360, &[0; 480 * 360]).data)
         }
         "scale" => {
             request.header("content-type", "application/json").body(json!({"metres_per_unit": 2}).to_string())

@@ -1,6 +1,7 @@
 //! The server over real sockets: gRPC in, HTTP out.
 
 mod access;
+mod api;
 mod bad_frames;
 mod bad_requests;
 mod connections;

@@ -83,3 +83,26 @@ export async function demonstration(frames) {
   };
   return { grpc, url, remove };
 }
+
+/** A server that is shared with a phone; `link` is what its QR code says. */
+export async function sharedServer() {
+  const data = mkdtempSync(join(tmpdir(), 'monoslam-viewer-'));
+  const [grpc, http] = [`127.0.0.1:${await freePort()}`, `127.0.0.1:${await freePort()}`];
+  const options = ['--quick-share', '--data-dir', data, '--grpc-addr', grpc, '--http-addr', http];
+  const child = spawn(join(PROGRAMS, 'monoslam-server'), options, { stdio: ['ignore', 'pipe', 'ignore'] });
+  let text = '';
+  const link = await new Promise((resolve, reject) => {
+    child.stdout.on('data', (bytes) => {
+      text += bytes;
+      const match = /https:\/\/\S+#token=\S+/.exec(text);
+      if (match) resolve(match[0]);
+    });
+    child.once('exit', () => reject(new Error(`the server ended:\n${text}`)));
+  });
+  const remove = async () => {
+    child.kill('SIGKILL');
+    await ended(child);
+    rmSync(data, { recursive: true, force: true });
+  };
+  return { link, remove };
+}

@@ -177,6 +177,7 @@ pub async fn check(State(door): State<Door>, mut request: Request, next: Next) -
 
 impl Door {
     fn refusal(&self, error: ApiError) -> Response {
+        metrics::counter!("monoslam_requests_refused_total", "code" => error.code.name()).increment(1);
         match self.interface {
             Interface::Http => error.into_response(),
             Interface::Grpc => tonic::Status::from(error).into_http(),

@@ -32,9 +32,11 @@ use metrics_exporter_prometheus::PrometheusHandle;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
+use tower::util::option_layer;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::cors::{AllowOrigin, CorsLayer};
-use utoipa::OpenApi;
+use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
+use utoipa::{Modify, OpenApi};
 use utoipa_axum::router::{OpenApiRouter, UtoipaMethodRouterExt};
 use utoipa_axum::routes;
 
@@ -70,13 +72,24 @@ impl App {
 }
 
 #[derive(OpenApi)]
-#[openapi(info(
+#[openapi(modifiers(&BearerTokens), security((), ("token" = [])), info(
     title = "monoslam",
     description = "Sessions, trajectories and maps of a monocular SLAM service. Frames are streamed over gRPC. \
                    Poses are world_from_camera, quaternions x y z w; lengths are map units unless a session's \
                    scale says metric."
 ))]
 struct Document;
+
+/// Tokens are sent as RFC 6750 has it; a server without tokens needs none.
+struct BearerTokens;
+
+impl Modify for BearerTokens {
+    fn modify(&self, document: &mut utoipa::openapi::OpenApi) {
+        let scheme = SecurityScheme::Http(Http::new(HttpAuthScheme::Bearer));
+        let components = document.components.get_or_insert_with(Default::default);
+        components.add_security_scheme("token", scheme);
+    }
+}
 
 /// Every path of the interface with its document. An image may have `max_image_bytes`.
 fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
@@ -113,7 +126,9 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
 /// process's own.
 pub fn router(app: App) -> Router {
     let access = app.service.access().clone();
-    let cors = cors(&access.config().cors_origins);
+    let origins = &access.config().cors_origins;
+    // Where no foreign page is let in, nothing is said about them.
+    let cors = option_layer((!origins.is_empty()).then(|| cors(origins)));
     let door = Door { access, interface: Interface::Http };
     let max_image_bytes = app.service.config().limits.max_message_bytes;
     let (router, document) = api(max_image_bytes).split_for_parts();

@@ -25,8 +25,8 @@ pub(super) struct Admission {
     expires_in_s: Option<u64>,
 }
 
-/// Gives a page a ticket: a cookie that is taken for reading and for streams, where browsers send no token. It
-/// is good for the server's `access.ticket_s`, and no longer than its token.
+/// Gives a page a ticket: a cookie that is taken for reading and for streams, where browsers send no token.
+/// It is good for the server's `access.ticket_s`, and no longer than its token.
 #[utoipa::path(post, path = "/v1/tickets", tag = "system", responses(
     (status = 200, description = "A ticket, as a cookie", body = Admission),
     (status = 401, description = "A token is needed", body = ProblemDetails, content_type = "application/problem+json")
@@ -45,8 +45,8 @@ pub(super) async fn issue(
         owner: caller.owner().map(str::to_owned),
         expires_in_s: ticket.as_ref().map(|ticket| ticket.lifetime.as_secs()),
     };
-    let cookie =
-        ticket.map(|Ticket { value, lifetime }| cookie(&uri, &headers, &extensions, &value, lifetime.as_secs()));
+    let cookie = ticket
+        .map(|Ticket { value, lifetime }| cookie(&uri, &headers, &extensions, &value, lifetime.as_secs()));
     Ok((cookie.map(|cookie| [(SET_COOKIE, cookie)]), Json(admission)))
 }
 
