@@ -6,7 +6,7 @@ use super::rates::{Asker, RequestRates};
 use super::rules::{self, Need};
 use super::tickets::{Ticket, Tickets};
 use super::{Caller, Role};
-use crate::connections::{Interface, Peer};
+use crate::connections::{Interface, Peer, client_network};
 use crate::error::{ApiError, ErrorCode};
 use crate::network::{AccessConfig, QuotaConfig, span};
 use axum::body::Body;
@@ -127,7 +127,7 @@ impl Access {
             Need::Metrics => Some(Role::Admin),
             Need::Role(role) => Some(role),
         };
-        let address = request.extensions().get::<Peer>().map(|peer| peer.addr.ip());
+        let address = request.extensions().get::<Peer>().map(|peer| client_network(peer.addr.ip()));
         let Some(role) = role else {
             self.rates.count(&Asker::Address(address))?;
             return Ok(None);

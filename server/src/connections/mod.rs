@@ -14,5 +14,5 @@ mod tls;
 
 pub use files::raise_file_limit;
 pub use serve::{Interface, Opening, Peer, Port, serve};
-pub use table::Table;
+pub use table::{Table, client_network};
 pub use tls::Certificates;

@@ -97,6 +97,7 @@ impl Table {
     /// # Errors
     /// If every place is in use.
     pub fn admit(self: &Arc<Self>, address: IpAddr) -> Result<Place, Full> {
+        let address = client_network(address);
         let mut entries = self.lock();
         if entries.per_address.get(&address).is_some_and(|n| *n >= self.limits.max_per_address)
             && !entries.evict(|activity| activity.address == address)
@@ -183,6 +184,18 @@ impl Table {
 
     fn lock(&self) -> MutexGuard<'_, Entries> {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Whose connections are counted together: an address, or a network of IPv6, of whose addresses a client has
+/// as many as it likes (RFC 4291, section 2.5.1).
+pub fn client_network(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(v6) => {
+            let [a, b, c, d, ..] = v6.segments();
+            if v6.is_loopback() { address } else { IpAddr::from([a, b, c, d, 0, 0, 0, 0]) }
+        }
+        v4 => v4,
     }
 }
 
@@ -305,6 +318,15 @@ mod tests {
         assert!(of_a.activity.drop.is_cancelled() && !of_b.activity.drop.is_cancelled());
         drop(of_b);
         assert_eq!(table.lock().all.len(), 1);
+    }
+
+    #[test]
+    fn a_network_of_ipv6_is_one_client() {
+        let network = |text: &str| client_network(text.parse().unwrap());
+        assert_eq!(network("2001:db8:1:2:3::4"), network("2001:db8:1:2:ffff::"));
+        assert_ne!(network("2001:db8:1:2::"), network("2001:db8:1:3::"));
+        assert_eq!(network("::ffff:10.0.0.1"), A);
+        assert_ne!(network("10.0.0.1"), network("10.0.0.2"));
     }
 
     #[test]
