@@ -75,7 +75,8 @@ impl Default for TlsConfig {
 pub struct ConnectionConfig {
     /// Connections at most. Default 4096; fewer where the system allows fewer open files.
     pub max_total: usize,
-    /// Connections of one address, or one /64 of IPv6, at most. Default 1024: a whole team behind one router or proxy.
+    /// Connections of one address, or one /64 of IPv6, at most. Default 1024: a whole team behind one router
+    /// or proxy.
     pub max_per_address: usize,
     /// Seconds until the first request of a connection must be there, encryption included, and until the head
     /// of each further one that has begun. Default 10.
