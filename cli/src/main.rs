@@ -66,6 +66,8 @@ mod tests {
             "monoslam report a --truth truth.txt --summary stream.json --plots plots -o report.html",
             "monoslam export a --format mcap --submap 2",
             "monoslam sessions list --server http://h:50051",
+            "monoslam sessions list --server https://h:50051 --token monoslam_x --ca cert.pem",
+            "monoslam sessions show lab~kitchen",
             "monoslam sessions show a --server http://h:50051",
             "monoslam sessions delete a --server http://h:50051",
         ] {

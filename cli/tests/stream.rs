@@ -33,7 +33,7 @@ async fn a_video_becomes_a_map_at_its_own_times_and_is_gone_on_with() {
     assert_eq!((rest["frames"].as_u64(), rest["rejected"].as_u64()), (Some(24), Some(0)));
     assert!(rest["tracked"].as_u64() > Some(20), "{rest}");
 
-    let http = HttpClient::new(format!("http://{}", stage.running.http_addr));
+    let http = HttpClient::new(format!("http://{}", stage.running.http_addr)).unwrap();
     let trajectory = http.trajectory("video").await.unwrap();
     assert!(trajectory.len() > 40, "{}", trajectory.len());
     for pose in trajectory.poses() {
@@ -107,7 +107,7 @@ async fn what_is_wrong_is_said_in_a_sentence() {
     let said = refusal(&stage.stream(text(&turned), "a", &with_camera).output().await.unwrap());
     assert!(said.contains("has images of 480x640 pixels") && said.contains("for 640x480"), "{said}");
     // Nothing of that made a session.
-    let http = HttpClient::new(format!("http://{}", stage.running.http_addr));
+    let http = HttpClient::new(format!("http://{}", stage.running.http_addr)).unwrap();
     assert!(http.trajectory("a").await.is_err());
 
     let unknown =

@@ -6,9 +6,7 @@ use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
 
-use client::{
-    FrameAnswer, FrameSource, HttpClient, Recording, SlamClient, StreamEvent, StreamPlan, stream_frames, v1,
-};
+use client::{FrameAnswer, FrameSource, Recording, SlamClient, StreamEvent, StreamPlan, stream_frames, v1};
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn Error>> {
@@ -35,7 +33,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
     .await?;
     eprintln!("{}: {} of {} frames tracked", session.id, summary.tracked, summary.frames);
 
-    let trajectory = HttpClient::new(client.http_address().await?).trajectory(&session.id).await?;
+    let trajectory = client.http().await?.trajectory(&session.id).await?;
     print!("{}", trajectory.to_tum());
     Ok(())
 }

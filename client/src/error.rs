@@ -17,6 +17,9 @@ pub enum ClientError {
         /// What is wrong with it.
         reason: String,
     },
+    /// The token or the certificates cannot be used.
+    #[error("the credentials cannot be used: {0}")]
+    Credentials(String),
     /// The server cannot be reached, or the connection broke.
     #[error("the server at {server} cannot be reached: {reason}")]
     Unreachable {

@@ -9,11 +9,14 @@ use proto::v1::stream_frames_request::Message as Sent;
 use proto::v1::stream_frames_response::Message as Received;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
+use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint, Uri};
 use tonic::{Response, Status, Streaming};
 
 use crate::convert::camera_message;
+use crate::credentials::{Bearer, Credentials};
 use crate::error::{ClientError, causes};
+use crate::http::HttpClient;
 
 /// The response header in which the server tells the port of its HTTP interface.
 pub const HTTP_PORT_HEADER: &str = "x-monoslam-http-port";
@@ -39,7 +42,8 @@ const FRAMES_IN_FLIGHT: usize = 2;
 #[derive(Clone, Debug)]
 pub struct SlamClient {
     server: Uri,
-    grpc: SlamServiceClient<Channel>,
+    credentials: Credentials,
+    grpc: SlamServiceClient<InterceptedService<Channel, Bearer>>,
 }
 
 impl SlamClient {
@@ -48,17 +52,40 @@ impl SlamClient {
     /// # Errors
     /// If the address is not one or nobody answers there.
     pub async fn connect(server: &str) -> Result<Self, ClientError> {
+        Self::connect_with(server, Credentials::default()).await
+    }
+
+    /// As [`Self::connect`], with a token, or encrypted (`https://HOST:PORT`).
+    ///
+    /// # Errors
+    /// If the address is not one, the credentials cannot be used, or nobody answers there.
+    pub async fn connect_with(server: &str, credentials: Credentials) -> Result<Self, ClientError> {
         let uri = parse_address(server)?;
-        let endpoint = Endpoint::from(uri.clone())
+        let bearer = Bearer(credentials.header()?);
+        let mut endpoint = Endpoint::from(uri.clone())
             .connect_timeout(CONNECT_TIMEOUT)
             .http2_keep_alive_interval(KEEPALIVE)
             .keep_alive_timeout(KEEPALIVE)
             .tcp_nodelay(true);
+        if uri.scheme_str() == Some("https") {
+            let tls = endpoint.tls_config(credentials.grpc_tls());
+            endpoint = tls.map_err(|error| ClientError::Credentials(causes(&error)))?;
+        }
         let channel = endpoint.connect().await.map_err(|error| ClientError::Unreachable {
             server: server.to_owned(),
             reason: causes(&error),
         })?;
-        Ok(Self { server: uri, grpc: SlamServiceClient::new(channel) })
+        let grpc = SlamServiceClient::with_interceptor(channel, bearer);
+        Ok(Self { server: uri, credentials, grpc })
+    }
+
+    /// The HTTP interface of the same server, with the same credentials.
+    ///
+    /// # Errors
+    /// If the server cannot be asked where it is.
+    pub async fn http(&mut self) -> Result<HttpClient, ClientError> {
+        let address = self.http_address().await?;
+        HttpClient::with(address, &self.credentials)
     }
 
     /// The address connected to.
@@ -252,8 +279,9 @@ impl SlamClient {
         if told.is_none() {
             self.unpack(answer)?;
         }
-        let host = self.server.host().unwrap_or("localhost");
-        Ok(format!("http://{host}:{}", told.unwrap_or(DEFAULT_HTTP_PORT)))
+        let (scheme, host) = (self.server.scheme_str(), self.server.host());
+        let (scheme, host) = (scheme.unwrap_or("http"), host.unwrap_or("localhost"));
+        Ok(format!("{scheme}://{host}:{}", told.unwrap_or(DEFAULT_HTTP_PORT)))
     }
 
     fn unpack<T>(&self, answer: Result<Response<T>, Status>) -> Result<T, ClientError> {
@@ -340,11 +368,11 @@ async fn next(
 fn parse_address(address: &str) -> Result<Uri, ClientError> {
     let refuse =
         |reason: &str| ClientError::Address { address: address.to_owned(), reason: reason.to_owned() };
-    let uri: Uri = address.parse().map_err(|_| refuse("http://HOST:PORT expected"))?;
+    let expected = "http://HOST:PORT or https://HOST:PORT expected";
+    let uri: Uri = address.parse().map_err(|_| refuse(expected))?;
     match (uri.scheme_str(), uri.host()) {
-        (Some("http"), Some(_)) => Ok(uri),
-        (Some("https"), _) => Err(refuse("only http is supported")),
-        _ => Err(refuse("http://HOST:PORT expected")),
+        (Some("http" | "https"), Some(_)) => Ok(uri),
+        _ => Err(refuse(expected)),
     }
 }
 
@@ -355,7 +383,8 @@ mod tests {
     #[test]
     fn addresses_are_checked() {
         assert_eq!(parse_address("http://[::1]:50051").unwrap().host(), Some("[::1]"));
-        for address in ["localhost:50051", "https://h:1", "", "/path", "http://"] {
+        assert!(parse_address("https://h:1").is_ok());
+        for address in ["localhost:50051", "ftp://h:1", "", "/path", "http://"] {
             let error = parse_address(address).unwrap_err().to_string();
             assert!(error.starts_with(&format!("`{address}` is not the address of a server")), "{error}");
         }

@@ -6,8 +6,10 @@ use std::str::FromStr;
 
 use bytes::Bytes;
 use http_body_util::{BodyExt, Empty, Limited};
-use hyper::Response;
 use hyper::body::{Body, Incoming};
+use hyper::header::{AUTHORIZATION, HeaderValue};
+use hyper::{Request, Response};
+use hyper_rustls::HttpsConnector;
 use hyper_util::client::legacy::Client;
 use hyper_util::client::legacy::connect::HttpConnector;
 use hyper_util::rt::TokioExecutor;
@@ -16,6 +18,7 @@ use recordings::Trajectory;
 use serde::Deserialize;
 use tonic::codegen::http::{StatusCode, Uri};
 
+use crate::credentials::Credentials;
 use crate::error::{ClientError, causes};
 
 /// The longest body of an error that is read, bytes: a problem is a few hundred.
@@ -140,7 +143,8 @@ named!(TrajectoryKind, "a kind of trajectory");
 #[derive(Clone, Debug)]
 pub struct HttpClient {
     address: String,
-    http: Client<HttpConnector, Empty<Bytes>>,
+    authorization: Option<HeaderValue>,
+    http: Client<HttpsConnector<HttpConnector>, Empty<Bytes>>,
 }
 
 /// The body of an error [RFC 9457].
@@ -151,10 +155,26 @@ struct Problem {
 }
 
 impl HttpClient {
-    /// The interface at an address such as `http://127.0.0.1:8080`.
-    pub fn new(address: impl Into<String>) -> Self {
+    /// The interface at an address such as `http://127.0.0.1:8080`, where no token is needed and the system's
+    /// certificates are trusted.
+    ///
+    /// # Errors
+    /// If encryption does not work on this system.
+    pub fn new(address: impl Into<String>) -> Result<Self, ClientError> {
+        Self::with(address, &Credentials::default())
+    }
+
+    /// The interface at an address such as `https://maps.example:8080`.
+    ///
+    /// # Errors
+    /// If the credentials cannot be used.
+    pub fn with(address: impl Into<String>, credentials: &Credentials) -> Result<Self, ClientError> {
         let address = address.into().trim_end_matches('/').to_owned();
-        Self { address, http: Client::builder(TokioExecutor::new()).build_http() }
+        let token = credentials.header()?;
+        let authorization = token.and_then(|header| HeaderValue::from_bytes(header.as_encoded_bytes()).ok());
+        let http = Client::builder(TokioExecutor::new())
+            .build(credentials.connector(address.starts_with("https:"))?);
+        Ok(Self { address, authorization, http })
     }
 
     /// Writes a session's trajectory to `out` as it comes.
@@ -272,9 +292,14 @@ impl HttpClient {
     async fn get(&self, path: &str) -> Result<Response<Incoming>, ClientError> {
         let uri: Uri = format!("{}{path}", self.address).parse().map_err(|_| ClientError::Address {
             address: self.address.clone(),
-            reason: "http://HOST:PORT expected".to_owned(),
+            reason: "http://HOST:PORT or https://HOST:PORT expected".to_owned(),
         })?;
-        let response = self.http.get(uri).await.map_err(|error| self.unreachable(&error))?;
+        let mut request = Request::new(Empty::new());
+        *request.uri_mut() = uri;
+        if let Some(authorization) = &self.authorization {
+            request.headers_mut().insert(AUTHORIZATION, authorization.clone());
+        }
+        let response = self.http.request(request).await.map_err(|error| self.unreachable(&error))?;
         if response.status().is_success() {
             Ok(response)
         } else {
@@ -290,7 +315,10 @@ impl HttpClient {
 async fn refusal(status: StatusCode, body: Incoming) -> ClientError {
     let code = match status.as_u16() {
         400 => tonic::Code::InvalidArgument,
+        401 => tonic::Code::Unauthenticated,
+        403 => tonic::Code::PermissionDenied,
         404 => tonic::Code::NotFound,
+        429 => tonic::Code::ResourceExhausted,
         503 => tonic::Code::Unavailable,
         _ => tonic::Code::Unknown,
     };

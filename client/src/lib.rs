@@ -7,11 +7,14 @@
 //!   (`Bag`, by the feature `bags`) or a camera of your own ([`FrameReader`]).
 //! * [`HttpClient`]: trajectories and maps in every format, images of keyframes.
 //!
+//! Where the server needs a token or has a certificate of its own, [`Credentials`] hold both
+//! ([`SlamClient::connect_with`]).
+//!
 //! A recording, streamed into a session of its own; `SERVER` is where the service is, such as
 //! `http://127.0.0.1:50051`:
 //!
 //! ```
-//! use client::{FrameSource, HttpClient, Recording, SlamClient, StreamPlan, stream_frames, v1};
+//! use client::{FrameSource, Recording, SlamClient, StreamPlan, stream_frames, v1};
 //! use std::{path::Path, sync::Arc};
 //!
 //! async fn map(server: &str, folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
@@ -21,7 +24,7 @@
 //!     let source: Arc<dyn FrameSource> = Arc::new(recording);
 //!     let plan = StreamPlan::lossless("kitchen", source.as_ref());
 //!     let summary = stream_frames(&mut client, &source, &plan, |event| println!("{event:?}")).await?;
-//!     let trajectory = HttpClient::new(client.http_address().await?).trajectory("kitchen").await?;
+//!     let trajectory = client.http().await?.trajectory("kitchen").await?;
 //!     println!("{} of {} frames have a pose", trajectory.len(), summary.frames);
 //!     Ok(())
 //! }
@@ -44,6 +47,7 @@
 //! ```
 
 mod convert;
+mod credentials;
 mod error;
 mod grpc;
 mod http;
@@ -56,6 +60,7 @@ mod summary;
 mod tally;
 
 pub use convert::camera_message;
+pub use credentials::Credentials;
 pub use error::ClientError;
 #[doc(no_inline)]
 pub use geometry::{CameraModel, CameraParameters};

@@ -2,6 +2,7 @@
 //!
 //! Everything is read once, before a port opens, and checked by [`Config::validate`].
 
+use crate::network::{self, AccessConfig, ConnectionConfig, QuotaConfig, TlsConfig};
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
@@ -28,6 +29,14 @@ pub struct Config {
     pub limits: Limits,
     /// How sessions run.
     pub sessions: SessionConfig,
+    /// Who is let in.
+    pub access: AccessConfig,
+    /// Encryption.
+    pub tls: TlsConfig,
+    /// Connections.
+    pub connections: ConnectionConfig,
+    /// What each token may use.
+    pub quotas: QuotaConfig,
     /// How the log is written.
     pub log: LogFormat,
 }
@@ -79,6 +88,9 @@ pub struct SessionConfig {
     /// as much memory as its map.
     #[serde(alias = "n_localisations")]
     pub n_localizations: usize,
+    /// Seconds after which a stream that sends nothing gives up its session's place in memory when another
+    /// session needs one. Default 30: a camera that sends less than a frame in half a minute maps nothing.
+    pub idle_stream_s: f64,
 }
 
 impl Default for SessionConfig {
@@ -90,6 +102,7 @@ impl Default for SessionConfig {
             keep_keyframe_images: true,
             save_retry_s: 1.0,
             n_localizations: 1,
+            idle_stream_s: 30.0,
         }
     }
 }
@@ -98,6 +111,11 @@ impl SessionConfig {
     /// [`Self::idle_unload_s`] as a span of time.
     pub fn idle_unload(&self) -> Duration {
         Duration::from_secs_f64(self.idle_unload_s)
+    }
+
+    /// [`Self::idle_stream_s`] as a span of time.
+    pub fn idle_stream(&self) -> Duration {
+        Duration::from_secs_f64(self.idle_stream_s)
     }
 
     /// [`Self::save_retry_s`] as a span of time.
@@ -126,13 +144,17 @@ impl Default for Config {
             shutdown_grace_s: 30.0,
             limits: Limits::default(),
             sessions: SessionConfig::default(),
+            access: AccessConfig::default(),
+            tls: TlsConfig::default(),
+            connections: ConnectionConfig::default(),
+            quotas: QuotaConfig::default(),
             log: LogFormat::default(),
         }
     }
 }
 
 /// Variables of the same prefix that are not the server's: where clients find it, and where recordings are.
-const NOT_OF_SERVERS: [&str; 2] = ["MONOSLAM_SERVER", "MONOSLAM_DATA"];
+const NOT_OF_SERVERS: [&str; 4] = ["MONOSLAM_SERVER", "MONOSLAM_DATA", "MONOSLAM_TOKEN", "MONOSLAM_CA"];
 
 /// The environment as far as it may configure a server.
 fn of_server(variables: impl Iterator<Item = (OsString, OsString)>) -> HashMap<String, String> {
@@ -155,6 +177,15 @@ pub struct ConfigArgs {
     /// Where HTTP listens [default: 127.0.0.1:8080]
     #[arg(long, value_name = "ADDR")]
     pub http_addr: Option<SocketAddr>,
+    /// Certificate with which both ports encrypt, a PEM file; read again when it changes
+    #[arg(long, value_name = "FILE", requires = "tls_key")]
+    pub tls_cert: Option<PathBuf>,
+    /// Private key of the certificate, a PEM file
+    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    pub tls_key: Option<PathBuf>,
+    /// Let everybody in who reaches a port, as long as there are no tokens
+    #[arg(long)]
+    pub insecure: bool,
     /// How the log is written [default: text]
     #[arg(long, value_enum, value_name = "FORMAT")]
     pub log: Option<LogFormat>,
@@ -190,10 +221,13 @@ impl Config {
             sources.add_source(environment.try_parsing(true).source(Some(of_server(std::env::vars_os()))));
         let read = sources.build().context("the configuration cannot be read")?;
         let mut merged: Self = read.try_deserialize().context("the configuration cannot be used")?;
-        let ConfigArgs { data_dir, grpc_addr, http_addr, log, config: _ } = args;
+        let ConfigArgs { data_dir, grpc_addr, http_addr, tls_cert, tls_key, insecure, log, config: _ } = args;
         merged.data_dir = data_dir.unwrap_or(merged.data_dir);
         merged.grpc_addr = grpc_addr.unwrap_or(merged.grpc_addr);
         merged.http_addr = http_addr.unwrap_or(merged.http_addr);
+        merged.tls.cert = tls_cert.or(merged.tls.cert);
+        merged.tls.key = tls_key.or(merged.tls.key);
+        merged.access.insecure |= insecure;
         merged.log = log.unwrap_or(merged.log);
         merged.validate()?;
         Ok(merged)
@@ -209,6 +243,7 @@ impl Config {
             ("shutdown_grace_s", self.shutdown_grace_s),
             ("sessions.idle_unload_s", self.sessions.idle_unload_s),
             ("sessions.save_retry_s", self.sessions.save_retry_s),
+            ("sessions.idle_stream_s", self.sessions.idle_stream_s),
         ];
         for (field, seconds) in spans {
             ensure!((0.0..=1e6).contains(&seconds), "{field} is {seconds} but must be 0 to 1000000 seconds");
@@ -222,6 +257,7 @@ impl Config {
         for (field, count) in counts {
             ensure!((1..=65_536).contains(&count), "{field} is {count} but must be 1 to 65536");
         }
+        network::validate(&self.access, &self.tls, &self.connections, &self.quotas)?;
         let bytes = self.limits.max_message_bytes;
         ensure!(bytes >= 1 << 16, "limits.max_message_bytes is {bytes} but must be at least 65536");
         Ok(())

@@ -1,6 +1,7 @@
 //! What goes wrong, once for both interfaces: a code, a sentence for the caller, and a cause for the log.
 
 use axum::http::StatusCode;
+use std::time::Duration;
 use store::StoreError;
 use tonic::Code;
 
@@ -49,6 +50,22 @@ pub enum ErrorCode {
     ShuttingDown,
     /// The session's worker failed.
     SessionFailed,
+    /// Nobody knows who asks: a token is needed, or this one is not good.
+    Unauthenticated,
+    /// Who asks may not do that.
+    Forbidden,
+    /// The server was called by a name that is not its own.
+    WrongHost,
+    /// A page of somebody else asks.
+    ForeignOrigin,
+    /// One caller asks too often.
+    RateLimited,
+    /// One caller uses as much as it may.
+    QuotaExceeded,
+    /// As many connections are in use as the server takes.
+    TooManyConnections,
+    /// A stream that was opened and not used made way for another.
+    IdleStream,
     /// Our own fault.
     Internal,
 }
@@ -78,6 +95,14 @@ impl ErrorCode {
             Self::DataLoss => "DATA_LOSS",
             Self::ShuttingDown => "SHUTTING_DOWN",
             Self::SessionFailed => "SESSION_FAILED",
+            Self::Unauthenticated => "UNAUTHENTICATED",
+            Self::Forbidden => "FORBIDDEN",
+            Self::WrongHost => "WRONG_HOST",
+            Self::ForeignOrigin => "FOREIGN_ORIGIN",
+            Self::RateLimited => "RATE_LIMITED",
+            Self::QuotaExceeded => "QUOTA_EXCEEDED",
+            Self::TooManyConnections => "TOO_MANY_CONNECTIONS",
+            Self::IdleStream => "IDLE_STREAM",
             Self::Internal => "INTERNAL",
         }
     }
@@ -106,6 +131,14 @@ impl ErrorCode {
             Self::DataLoss => "The stored map is damaged",
             Self::ShuttingDown => "The server is shutting down",
             Self::SessionFailed => "The session failed",
+            Self::Unauthenticated => "A token is needed",
+            Self::Forbidden => "Not allowed",
+            Self::WrongHost => "Not a name of this server",
+            Self::ForeignOrigin => "A page of somebody else",
+            Self::RateLimited => "Too many requests",
+            Self::QuotaExceeded => "The quota is used up",
+            Self::TooManyConnections => "Too many connections",
+            Self::IdleStream => "The stream was not used",
             Self::Internal => "Internal error",
         }
     }
@@ -123,10 +156,15 @@ impl ErrorCode {
             Self::MethodNotAllowed | Self::NotAvailable => Code::Unimplemented,
             Self::SessionExists => Code::AlreadyExists,
             Self::WriterConnected => Code::FailedPrecondition,
-            Self::TakenOver => Code::Aborted,
+            Self::TakenOver | Self::IdleStream => Code::Aborted,
+            Self::Unauthenticated => Code::Unauthenticated,
+            Self::Forbidden | Self::WrongHost | Self::ForeignOrigin => Code::PermissionDenied,
             Self::TooManySessions
             | Self::TooManyLoadedSessions
             | Self::TooBusy
+            | Self::RateLimited
+            | Self::QuotaExceeded
+            | Self::TooManyConnections
             | Self::MessageTooLarge
             | Self::StorageFull => Code::ResourceExhausted,
             Self::StorageFailed | Self::ShuttingDown => Code::Unavailable,
@@ -147,13 +185,22 @@ impl ErrorCode {
             | Self::NotFound => StatusCode::NOT_FOUND,
             Self::NotAvailable => StatusCode::NOT_IMPLEMENTED,
             Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
-            Self::SessionExists | Self::WriterConnected | Self::TakenOver => StatusCode::CONFLICT,
-            Self::TooManySessions | Self::TooManyLoadedSessions | Self::TooBusy => {
-                StatusCode::TOO_MANY_REQUESTS
+            Self::SessionExists | Self::WriterConnected | Self::TakenOver | Self::IdleStream => {
+                StatusCode::CONFLICT
             }
+            Self::Unauthenticated => StatusCode::UNAUTHORIZED,
+            Self::Forbidden | Self::ForeignOrigin => StatusCode::FORBIDDEN,
+            Self::WrongHost => StatusCode::MISDIRECTED_REQUEST,
+            Self::TooManySessions
+            | Self::TooManyLoadedSessions
+            | Self::TooBusy
+            | Self::RateLimited
+            | Self::QuotaExceeded => StatusCode::TOO_MANY_REQUESTS,
             Self::MessageTooLarge => StatusCode::PAYLOAD_TOO_LARGE,
             Self::StorageFull => StatusCode::INSUFFICIENT_STORAGE,
-            Self::StorageFailed | Self::ShuttingDown => StatusCode::SERVICE_UNAVAILABLE,
+            Self::StorageFailed | Self::ShuttingDown | Self::TooManyConnections => {
+                StatusCode::SERVICE_UNAVAILABLE
+            }
             Self::DataLoss | Self::SessionFailed | Self::Internal => StatusCode::INTERNAL_SERVER_ERROR,
         }
     }
@@ -178,23 +225,30 @@ pub struct ApiError {
     pub message: String,
     /// The fields that are wrong, for [`ErrorCode::InvalidArgument`].
     pub violations: Vec<FieldViolation>,
+    /// After how long the same request may be taken, where that is known.
+    pub retry_after: Option<Duration>,
 }
 
 impl ApiError {
     /// An error of this kind.
     pub fn new(code: ErrorCode, message: impl Into<String>) -> Self {
-        Self { code, message: message.into(), violations: Vec::new() }
+        Self { code, message: message.into(), violations: Vec::new(), retry_after: None }
     }
 
     /// A request with one wrong field.
     pub fn invalid(field: impl Into<String>, description: impl Into<String>) -> Self {
-        let (field, description) = (field.into(), description.into());
-        let message = format!("{field}: {description}");
-        Self {
-            code: ErrorCode::InvalidArgument,
-            message,
-            violations: vec![FieldViolation { field, description }],
-        }
+        Self::invalid_fields(vec![FieldViolation { field: field.into(), description: description.into() }])
+    }
+
+    /// A request with these wrong fields; its message is about the first.
+    pub fn invalid_fields(violations: Vec<FieldViolation>) -> Self {
+        let first = violations.first().map(|first| format!("{}: {}", first.field, first.description));
+        Self { violations, ..Self::new(ErrorCode::InvalidArgument, first.unwrap_or_default()) }
+    }
+
+    /// The same error, with the time after which the request may be taken.
+    pub fn retry_after(self, wait: Duration) -> Self {
+        Self { retry_after: Some(wait), ..self }
     }
 
     /// There is no session with this id.
@@ -218,6 +272,9 @@ impl From<ApiError> for tonic::Status {
             "monoslam",
             std::collections::HashMap::<String, String>::new(),
         );
+        if let Some(wait) = error.retry_after {
+            details.set_retry_info(Some(wait));
+        }
         for FieldViolation { field, description } in &error.violations {
             details.add_bad_request_violation(field, description);
         }
@@ -240,8 +297,19 @@ impl From<StoreError> for ApiError {
             let cause = with_causes(&error);
             tracing::error!(cause, "the database failed: {cause}");
         }
-        Self::new(code, error.to_string())
+        let message = match &error {
+            // The key holds the owner, which callers do not say.
+            StoreError::SessionNotFound { id } => return Self::session_not_found(name_in(id)),
+            StoreError::SessionExists { id } => format!("there is already a session {:?}", name_in(id)),
+            _ => error.to_string(),
+        };
+        Self::new(code, message)
     }
+}
+
+/// What callers call the session of a key.
+fn name_in(key: &str) -> &str {
+    key.rsplit_once('~').map_or(key, |(_, name)| name)
 }
 
 /// An error with what caused it, for the log.

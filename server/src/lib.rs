@@ -13,21 +13,26 @@
 //! # }
 //! ```
 
+pub mod access;
 mod clock;
 mod config;
+mod connections;
 mod error;
 pub mod grpc;
 mod ids;
 pub mod maps;
 mod model;
+pub mod network;
 mod options;
 mod page;
+mod quick_share;
 pub mod rest;
 mod server;
 mod service;
 pub mod session;
 mod shutdown;
 mod telemetry;
+mod tokens;
 mod watch;
 
 pub use clock::SystemClock;
@@ -36,10 +41,12 @@ pub use error::{ApiError, ErrorCode, FieldViolation};
 pub use model::{Camera, Model, Pose, Scale, State, Units};
 pub use options::SessionOptions;
 pub use page::{DEFAULT_PAGE_SIZE, MAX_PAGE_SIZE, Page, PageRequest};
+pub use quick_share::QuickShare;
 pub use rest::viewer_file;
-pub use server::{DATABASE_FILE, Running, Server, Shutdown, open_store};
+pub use server::{DATABASE_FILE, Running, Server, Shutdown, open_store, open_store_beside};
 pub use service::{NewSession, Service};
 pub use session::SessionView;
-pub use shutdown::requested as shutdown_requested;
+pub use shutdown::{Hangups, requested as shutdown_requested};
 pub use telemetry::start_log;
+pub use tokens::TokenCommand;
 pub use watch::{Watched, watch};

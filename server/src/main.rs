@@ -2,7 +2,8 @@
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
-use server::{Config, ConfigArgs, Server};
+use server::{Config, ConfigArgs, Hangups, QuickShare, Server, TokenCommand};
+use std::io::IsTerminal;
 
 /// Monocular SLAM as a service: frames in over gRPC, maps and trajectories out over gRPC and HTTP
 #[derive(Debug, Parser)]
@@ -10,6 +11,10 @@ use server::{Config, ConfigArgs, Server};
 struct Args {
     #[command(flatten)]
     config: ConfigArgs,
+    /// Let a phone in the same network map: encrypted, with a certificate made for it, and the address of its
+    /// page as a QR code
+    #[arg(long)]
+    quick_share: bool,
     #[command(subcommand)]
     command: Option<Command>,
 }
@@ -18,25 +23,42 @@ struct Args {
 enum Command {
     /// Checks that the database is whole and that its maps make sense; exits with 1 if not
     Check,
+    /// Makes, lists and revokes tokens, also while a server runs
+    #[command(subcommand)]
+    Token(TokenCommand),
 }
 
 fn main() -> anyhow::Result<()> {
-    let Args { config, command } = Args::parse();
+    let Args { config, quick_share, command } = Args::parse();
     let config = Config::load(config)?;
     server::start_log(config.log);
     let runtime = tokio::runtime::Runtime::new().context("cannot start the runtime")?;
     let outcome = match command {
-        None => runtime.block_on(serve(config)),
+        None => runtime.block_on(serve(config, quick_share)),
         Some(Command::Check) => runtime.block_on(check(config)),
+        Some(Command::Token(command)) => runtime.block_on(command.run(&config, &mut std::io::stdout())),
     };
     // A session that was abandoned at the end of the grace period must not hold the process up.
     runtime.shutdown_background();
     outcome
 }
 
-async fn serve(config: Config) -> anyhow::Result<()> {
-    let running = Server::start(config).await?;
-    server::shutdown_requested().await?;
+async fn serve(mut config: Config, quick_share: bool) -> anyhow::Result<()> {
+    let share = quick_share.then(|| QuickShare::prepare(&mut config)).transpose()?;
+    // From now on: a hang-up while the database is opened must not end the process.
+    let mut hangups = Hangups::new().context("SIGHUP cannot be listened for")?;
+    let running = Server::start_with_guest(config, share.as_ref().map(QuickShare::guest)).await?;
+    if let Some(share) = share {
+        println!("{}", share.invitation(running.http_addr, std::io::stdout().is_terminal())?);
+    }
+    let requested = server::shutdown_requested();
+    tokio::pin!(requested);
+    loop {
+        tokio::select! {
+            requested = requested.as_mut() => break requested?,
+            () = hangups.next() => running.reload().await,
+        }
+    }
     running.shutdown().await;
     Ok(())
 }

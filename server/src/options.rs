@@ -1,6 +1,6 @@
 //! What a client asks of a session, and what the engine runs with then.
 
-use crate::error::{ApiError, ErrorCode, FieldViolation};
+use crate::error::{ApiError, FieldViolation};
 use serde::{Deserialize, Serialize};
 use slam::{FeatureSwitches, SlamConfig, Threading};
 use store::SessionRecord;
@@ -111,9 +111,8 @@ pub fn engine_config_of(record: &SessionRecord) -> Result<SlamConfig, ApiError> 
 /// With a violation per option that cannot be used.
 pub fn engine_config(options: &SessionOptions) -> Result<SlamConfig, ApiError> {
     let violations = contradictions(options);
-    if let Some(first) = violations.first() {
-        let message = format!("{}: {}", first.field, first.description);
-        return Err(ApiError { code: ErrorCode::InvalidArgument, message, violations });
+    if !violations.is_empty() {
+        return Err(ApiError::invalid_fields(violations));
     }
     let mut config = SlamConfig::default();
     let lines = options.lines.unwrap_or(config.features.lines);

@@ -1,6 +1,7 @@
 //! A running server: two ports, one service, one database.
 
 use crate::config::Config;
+use crate::connections::{Certificates, Opening, Table, raise_file_limit};
 use crate::service::Service;
 use crate::{grpc, rest};
 use anyhow::Context;
@@ -9,10 +10,10 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
-use store::{Store, StoreOptions};
+use store::{Store, StoreOptions, TokenRecord};
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
-use tokio_util::sync::CancellationToken;
+use tokio_util::sync::{CancellationToken, DropGuard};
 
 /// Name of the database in the data folder.
 pub const DATABASE_FILE: &str = "monoslam.sqlite";
@@ -31,21 +32,56 @@ impl Server {
     /// # Errors
     /// If the configuration cannot be used, the database cannot be opened, or a port is taken.
     pub async fn start(config: Config) -> anyhow::Result<Running> {
+        Self::start_with_guest(config, None).await
+    }
+
+    /// As [`Self::start`], taking a token for as long as the server runs that is in no database.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub async fn start_with_guest(config: Config, guest: Option<TokenRecord>) -> anyhow::Result<Running> {
         config.validate()?;
         let lock = lock_folder(&config.data_dir)?;
+        let max_files = raise_file_limit();
+        let tls = Certificates::of(&config.tls)?;
         let store = open_store(&config).await?;
         let grpc_listener = listen("grpc_addr", config.grpc_addr).await?;
         let http_listener = listen("http_addr", config.http_addr).await?;
         let (grpc_addr, http_addr) = (grpc_listener.local_addr()?, http_listener.local_addr()?);
         let grace = config.shutdown_grace();
+        let table = Table::new(config.connections.clone(), max_files);
         let service = Arc::new(Service::new(Arc::new(config), store.clone()).await?);
+        if let Some(guest) = guest {
+            service.access().keys().admit_guest(guest);
+        }
+        let reach = [grpc_addr, http_addr].into_iter().find(|addr| !addr.ip().to_canonical().is_loopback());
+        check_reach(&service, reach)?;
 
-        let closing = CancellationToken::new();
-        let grpc = grpc::serve(service.clone(), grpc_listener, http_addr.port(), closing.clone());
-        let http = rest::serve(rest::App::new(service.clone()), http_listener, closing.clone());
+        let (closing, ended) = (CancellationToken::new(), CancellationToken::new());
+        tokio::spawn(service.access().clone().look_after(closing.clone()));
+        tokio::spawn(table.clone().look_after(closing.clone(), ended.clone()));
+        if let Some(certificates) = &tls {
+            tokio::spawn(certificates.clone().look_after(closing.clone()));
+        }
+        let opening = |listener| Opening { listener, tls: tls.clone(), table: table.clone() };
+        let grpc = grpc::serve(service.clone(), opening(grpc_listener), http_addr.port(), closing.clone());
+        let http = rest::serve(rest::App::new(service.clone()), opening(http_listener), closing.clone());
         let tasks = vec![("gRPC", tokio::spawn(grpc)), ("HTTP", tokio::spawn(http))];
-        tracing::info!(%grpc_addr, %http_addr, "serving gRPC on {grpc_addr} and HTTP on {http_addr}");
-        Ok(Running { grpc_addr, http_addr, service, store, closing, tasks, grace, _lock: lock })
+        let encrypted = if tls.is_some() { ", encrypted" } else { "" };
+        tracing::info!(%grpc_addr, %http_addr, "serving gRPC on {grpc_addr} and HTTP on {http_addr}{encrypted}");
+        let ended = ended.drop_guard();
+        Ok(Running {
+            grpc_addr,
+            http_addr,
+            service,
+            store,
+            tls,
+            closing,
+            tasks,
+            grace,
+            _ended: ended,
+            _lock: lock,
+        })
     }
 }
 
@@ -57,9 +93,11 @@ pub struct Running {
     pub http_addr: SocketAddr,
     service: Arc<Service>,
     store: Store,
+    tls: Option<Arc<Certificates>>,
     closing: CancellationToken,
     tasks: Vec<Serving>,
     grace: Duration,
+    _ended: DropGuard,
     /// Held as long as the server runs.
     _lock: File,
 }
@@ -85,10 +123,20 @@ impl Running {
         &self.store
     }
 
+    /// Reads again what can change while the server runs: certificates and tokens.
+    pub async fn reload(&self) {
+        if let Some(certificates) = &self.tls {
+            certificates.reload();
+        }
+        if let Err(error) = self.service.access().keys().refresh().await {
+            tracing::error!("the tokens cannot be read, those from before hold: {error}");
+        }
+    }
+
     /// Stops accepting, ends the streams, waits until every session is saved, and closes the database, all
     /// within the configured grace period.
     pub async fn shutdown(self) -> Shutdown {
-        let Self { service, store, closing, tasks, grace, _lock, .. } = self;
+        let Self { service, store, closing, tasks, grace, _lock, _ended, .. } = self;
         tracing::info!("shutting down: no new connections, streams end, sessions are saved");
         closing.cancel();
         let orderly = async {
@@ -106,6 +154,26 @@ impl Running {
         tracing::warn!("the grace period of {grace:?} ran out: what was still running is abandoned");
         Shutdown::Abandoned
     }
+}
+
+/// A server that everybody in a network reaches and nobody needs a token for is not started by accident.
+fn check_reach(service: &Service, reach: Option<SocketAddr>) -> anyhow::Result<()> {
+    let Some(addr) = reach else { return Ok(()) };
+    let keys = service.access().keys();
+    if !keys.is_open() || keys.has_guests() {
+        return Ok(());
+    }
+    anyhow::ensure!(
+        service.config().access.insecure,
+        "{addr} is reached from other machines, and there are no tokens yet, so that everybody there could read, \
+         change and delete everything: make one with `monoslam-server token create NAME --role writer`, or say \
+         --insecure if that is what you want"
+    );
+    tracing::warn!(
+        "INSECURE: everybody who reaches {addr} can read, change and delete every session; \
+         `monoslam-server token create` makes that end"
+    );
+    Ok(())
 }
 
 type Serving = (&'static str, JoinHandle<anyhow::Result<()>>);
@@ -151,6 +219,19 @@ pub async fn open_store(config: &Config) -> anyhow::Result<Store> {
     let path = config.data_dir.join(DATABASE_FILE);
     let options = StoreOptions { max_bytes: config.limits.max_database_bytes, ..StoreOptions::default() };
     Store::open(&path, options).await.with_context(|| format!("cannot open the database {}", path.display()))
+}
+
+/// As [`open_store`], also while a server uses the database; makes folder and database where there are none.
+///
+/// # Errors
+/// If the database cannot be opened.
+pub async fn open_store_beside(config: &Config) -> anyhow::Result<Store> {
+    let folder = &config.data_dir;
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let path = folder.join(DATABASE_FILE);
+    let opened = Store::open_beside(&path, StoreOptions::default()).await;
+    opened.with_context(|| format!("cannot open the database {}", path.display()))
 }
 
 async fn listen(field: &str, addr: SocketAddr) -> anyhow::Result<TcpListener> {

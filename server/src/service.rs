@@ -1,10 +1,11 @@
 //! What the server does, once for both interfaces.
 
+use crate::access::{self, Access, Caller, Change};
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
 use crate::maps::{MapQueries, Observed, SceneParts};
 use crate::options::{SessionOptions, engine_config};
-use crate::page::{MAX_PAGE_SIZE, Page, PageRequest};
+use crate::page::{Page, PageRequest};
 use crate::session::{
     self, FrameQueue, LoadContext, Located, OpenRequest, Registry, Replies, Reply, SentImage, SessionId,
     SessionView, ShownFrame,
@@ -36,6 +37,7 @@ pub struct Service {
     store: Store,
     maps: MapQueries,
     registry: Registry,
+    access: Arc<Access>,
     /// Sessions there are. Held while one is made, so that two at once cannot pass the limit.
     n_sessions: tokio::sync::Mutex<u64>,
     /// Single images that may be located at the same time.
@@ -60,10 +62,12 @@ impl Service {
     /// If the database cannot be read.
     pub async fn new(config: Arc<Config>, store: Store) -> Result<Self, ApiError> {
         let registry = Registry::new(config.clone(), store.clone());
-        let n_sessions = tokio::sync::Mutex::new(count_sessions(&store).await?);
+        let access = Access::new(config.access.clone(), config.quotas.clone(), store.clone()).await;
+        let access = access.map_err(|error| ApiError::internal(format!("{error:#}")))?;
+        let n_sessions = tokio::sync::Mutex::new(store.count_sessions_of("").await?);
         let localizations = Semaphore::new(config.sessions.n_localizations);
         let maps = MapQueries::new(store.clone(), config.data_dir.clone(), config.decode_limits());
-        Ok(Self { config, store, maps, registry, n_sessions, localizations })
+        Ok(Self { config, store, maps, registry, access, n_sessions, localizations })
     }
 
     /// The session's options.
@@ -76,6 +80,11 @@ impl Service {
         &self.maps
     }
 
+    /// Who may do what.
+    pub fn access(&self) -> &Arc<Access> {
+        &self.access
+    }
+
     /// The sessions in memory.
     pub fn registry(&self) -> &Registry {
         &self.registry
@@ -85,7 +94,7 @@ impl Service {
     ///
     /// # Errors
     /// If the camera or an option cannot be used, the id is taken, or there are too many sessions.
-    pub async fn create_session(&self, new: NewSession) -> Result<SessionView, ApiError> {
+    pub async fn create_session(&self, caller: &Caller, new: NewSession) -> Result<SessionView, ApiError> {
         self.registry.check_open()?;
         let NewSession { id, camera, options } = new;
         check_image_size(&camera, self.config.limits.max_image_pixels)?;
@@ -98,15 +107,16 @@ impl Service {
                 format!("there are {limit} sessions, as many as this server keeps; delete one first");
             return Err(ApiError::new(ErrorCode::TooManySessions, sentence));
         }
-        let id = id.unwrap_or_else(SessionId::generate);
+        self.check_room_for_session(caller).await?;
+        let id = id.unwrap_or_else(|| SessionId::generate(caller.owner()));
         let created_at_ns = crate::clock::since_1970_ns();
         let camera = camera.parameters().clone();
         let (id_text, options) = (id.as_str().to_owned(), options.into());
         let new = store::NewSession { id: id_text, camera, options, created_at_ns };
         let record = self.store.create_session(&new).await?;
         *n_sessions += 1;
-        tracing::info!(session.id = %id, "session {id} was made");
-        Ok(self.view(record))
+        access::record(caller, Change::Created, &id);
+        Ok(self.view(&id, record))
     }
 
     /// A session.
@@ -114,31 +124,38 @@ impl Service {
     /// # Errors
     /// If there is none of this id.
     pub async fn get_session(&self, id: &SessionId) -> Result<SessionView, ApiError> {
-        Ok(self.view(self.store.get_session(id.as_str()).await?))
+        Ok(self.view(id, self.store.get_session(id.as_str()).await?))
     }
 
     /// A page of sessions in the order of their ids.
     ///
     /// # Errors
     /// If the page token is none of ours.
-    pub async fn list_sessions(&self, page: &PageRequest) -> Result<Page<SessionView>, ApiError> {
+    pub async fn list_sessions(
+        &self,
+        caller: &Caller,
+        page: &PageRequest,
+    ) -> Result<Page<SessionView>, ApiError> {
         // A token is the last id of the page before.
-        let after = page.token().map(|token| SessionId::parse(token, "page_token")).transpose()?;
-        let sessions = self.store.list_sessions(after.as_ref().map(SessionId::as_str), page.size()).await?;
-        Ok(Page::of(sessions, |record| self.view(record)))
+        let after = page.token().map(|token| caller.session(token, "page_token")).transpose()?;
+        let after = after.as_ref().map(SessionId::as_str);
+        let stored = self.store.list_sessions_of(&caller.prefix(), after, page.size()).await?;
+        let next = stored.next.map(|key| caller.stored(key));
+        let view = |record: SessionRecord| self.view(&caller.stored(record.id.clone()), record);
+        Ok(Page::of(store::Page { items: stored.items, next }, view))
     }
 
     /// Deletes a session with its map.
     ///
     /// # Errors
     /// If there is none of this id, or a writer is connected.
-    pub async fn delete_session(&self, id: &SessionId) -> Result<(), ApiError> {
+    pub async fn delete_session(&self, caller: &Caller, id: &SessionId) -> Result<(), ApiError> {
         self.store.get_session(id.as_str()).await?;
         let delete = async { Ok(self.store.delete_session(id.as_str()).await?) };
         self.registry.delete(id, delete).await?;
         let mut n_sessions = self.n_sessions.lock().await;
         *n_sessions = n_sessions.saturating_sub(1);
-        tracing::info!(session.id = %id, "session {id} was deleted");
+        access::record(caller, Change::Deleted, id);
         Ok(())
     }
 
@@ -148,6 +165,7 @@ impl Service {
     /// If there is none of this id, a writer is connected, or an option cannot be used.
     pub async fn update_session(
         &self,
+        caller: &Caller,
         id: &SessionId,
         options: SessionOptions,
     ) -> Result<SessionView, ApiError> {
@@ -161,8 +179,8 @@ impl Service {
             Ok(self.store.update_session(id.as_str(), &changes).await?)
         };
         let record = self.registry.change(id, change).await?;
-        tracing::info!(session.id = %id, "the options of session {id} were changed");
-        Ok(self.view(record))
+        access::record(caller, Change::Updated, id);
+        Ok(self.view(id, record))
     }
 
     /// Says how many metres a map unit of a session is, or, with `None`, that nobody knows.
@@ -171,6 +189,7 @@ impl Service {
     /// If there is none of this id, or the number is not positive.
     pub async fn set_scale(
         &self,
+        caller: &Caller,
         id: &SessionId,
         metres_per_unit: Option<f64>,
     ) -> Result<SessionView, ApiError> {
@@ -186,7 +205,8 @@ impl Service {
         let changes = SessionChanges { metres_per_unit: Some(metres_per_unit), ..SessionChanges::default() };
         let store = async { Ok(self.store.update_session(id.as_str(), &changes).await?) };
         let record = self.registry.set_scale(id, metres_per_unit, store).await?;
-        Ok(self.view(record))
+        access::record(caller, Change::Scaled, id);
+        Ok(self.view(id, record))
     }
 
     /// Locates one image in a session's map, as of its last commit, without changing anything.
@@ -261,12 +281,20 @@ impl Service {
     /// If there is no such session, it has a writer, or it cannot be loaded.
     pub async fn open_stream(
         &self,
+        caller: &Caller,
         request: OpenRequest,
         replies: Replies,
     ) -> Result<Arc<FrameQueue>, ApiError> {
         let id = request.id.clone();
         self.store.get_session(id.as_str()).await?;
+        check_stored_bytes(&self.store, caller).await?;
         let queue = self.registry.open_stream(request, replies.clone()).await?;
+        if let Err(error) = caller.count_stream(&queue) {
+            queue.abort(Err(error.clone()));
+            return Err(error);
+        }
+        access::record(caller, Change::Streamed, &id);
+        tokio::spawn(watch_over(self.store.clone(), caller.clone(), queue.clone(), self.quota_check()));
         // Read again: a writer that had to make way has saved its last frames meanwhile.
         let opened = self.get_session(&id).await;
         if let Err(error) = &opened {
@@ -277,27 +305,68 @@ impl Service {
         Ok(queue)
     }
 
-    fn view(&self, record: SessionRecord) -> SessionView {
-        let loaded = SessionId::parse(&record.id, "id").ok().and_then(|id| self.registry.view(&id));
-        SessionView::of(record, loaded)
+    /// Whether the database answers.
+    ///
+    /// # Errors
+    /// If it does not.
+    pub async fn check_storage(&self) -> Result<(), ApiError> {
+        self.store.list_sessions(None, 1).await?;
+        Ok(())
     }
+
+    async fn check_room_for_session(&self, caller: &Caller) -> Result<(), ApiError> {
+        let Some(limit) = caller.quotas().max_sessions else { return Ok(()) };
+        if self.store.count_sessions_of(&caller.prefix()).await? < limit {
+            return Ok(());
+        }
+        let sentence =
+            format!("there are {limit} sessions, as many as may be made with this token; delete one first");
+        Err(ApiError::new(ErrorCode::QuotaExceeded, sentence))
+    }
+
+    fn quota_check(&self) -> Duration {
+        Duration::from_secs_f64(self.config.quotas.check_s)
+    }
+
+    fn view(&self, id: &SessionId, record: SessionRecord) -> SessionView {
+        let loaded = self.registry.view(id);
+        SessionView { id: id.to_string(), ..SessionView::of(record, loaded) }
+    }
+}
+
+/// Ends a stream when its client's token is revoked, or what its owner stores is as much as it may be.
+async fn watch_over(store: Store, caller: Caller, queue: Arc<FrameQueue>, check_every: Duration) {
+    loop {
+        tokio::select! {
+            () = queue.closed() => return,
+            () = caller.revoked().cancelled() => {
+                let sentence = "the token has run out or was revoked";
+                return queue.abort(Err(ApiError::new(ErrorCode::Unauthenticated, sentence)));
+            }
+            () = tokio::time::sleep(check_every), if caller.quotas().max_stored_bytes.is_some() => {
+                if let Err(error) = check_stored_bytes(&store, &caller).await {
+                    return queue.close(Err(error));
+                }
+            }
+        }
+    }
+}
+
+async fn check_stored_bytes(store: &Store, caller: &Caller) -> Result<(), ApiError> {
+    let Some(limit) = caller.quotas().max_stored_bytes else { return Ok(()) };
+    let n_bytes = store.stored_bytes_of(&caller.prefix()).await?;
+    if n_bytes < limit {
+        return Ok(());
+    }
+    let sentence = format!(
+        "the sessions hold {n_bytes} bytes, and {limit} is what this token may store; delete some first"
+    );
+    Err(ApiError::new(ErrorCode::QuotaExceeded, sentence))
 }
 
 fn no_frame(id: &SessionId, sequence: u64) -> ApiError {
     let sentence = format!("frame {sequence} of session {id} is not kept, or no longer");
     ApiError::new(ErrorCode::FrameNotFound, sentence)
-}
-
-async fn count_sessions(store: &Store) -> Result<u64, ApiError> {
-    let (mut n_sessions, mut after) = (0, None);
-    loop {
-        let page = store.list_sessions(after.as_deref(), MAX_PAGE_SIZE).await?;
-        n_sessions += page.items.len() as u64;
-        after = page.next;
-        if after.is_none() {
-            return Ok(n_sessions);
-        }
-    }
 }
 
 /// A camera that can be worked with.

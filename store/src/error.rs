@@ -33,6 +33,18 @@ pub enum StoreError {
         /// The name asked for.
         id: String,
     },
+    /// The name of a token is taken.
+    #[error("there is already a token {name:?}; tokens that were revoked keep their names")]
+    TokenExists {
+        /// The name asked for.
+        name: String,
+    },
+    /// There is no such token.
+    #[error("there is no token {name:?}")]
+    TokenNotFound {
+        /// The name asked for.
+        name: String,
+    },
     /// A number does not fit the database.
     #[error("{what} {value} is too large to be stored")]
     OutOfRange {

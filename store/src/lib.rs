@@ -14,8 +14,8 @@
 //!
 //! After the end of the process, or of the machine, at any moment the database is as of its last commit:
 //! SQLite's write-ahead log, one writing connection, and one transaction per update see to that. Which
-//! columns hold wall-clock time is said in the migrations: only `sessions.created_at_ns`. Everything else
-//! depends on the updates alone, which [`Store::digest`] makes comparable.
+//! columns hold wall-clock time is said in the migrations: only `sessions.created_at_ns` and the times of
+//! tokens. Everything else depends on the updates alone, which [`Store::digest`] makes comparable.
 //!
 //! Queries are checked when they run, not when they are compiled: the macros would need a database at build
 //! time or a copy of every statement's description in the repository, and could not check the statements here
@@ -72,6 +72,7 @@ mod primitives;
 mod save;
 mod session;
 mod snapshot;
+mod tokens;
 mod trajectory;
 
 pub use check::Finding;
@@ -91,4 +92,5 @@ pub use primitives::PrimitiveRecord;
 pub use save::{Committed, KeyframeImage, SessionStatus};
 pub use session::{NewSession, SessionChanges, SessionCounts, SessionOptions, SessionRecord};
 pub use snapshot::MapSnapshot;
+pub use tokens::{NewToken, TOKEN_HASH_BYTES, TokenQuotas, TokenRecord, TokenRole};
 pub use trajectory::{StoredFrame, SubmapChoice, TrajectoryFilter, TrajectoryKind, TrajectoryPose};

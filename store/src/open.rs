@@ -124,6 +124,17 @@ impl Store {
     /// [`StoreError::NewerSchema`] if a later version of this program wrote it, and [`StoreError::NotAStore`]
     /// if it is something else; neither is touched.
     pub async fn open(path: impl AsRef<Path>, options: StoreOptions) -> Result<Self, StoreError> {
+        let store = Self::open_beside(path, options).await?;
+        store.clear_deleted_sessions().await?;
+        Ok(store)
+    }
+
+    /// As [`Self::open`], also while a server uses the database: what it may be about to delete is left
+    /// alone.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub async fn open_beside(path: impl AsRef<Path>, options: StoreOptions) -> Result<Self, StoreError> {
         let path = path.as_ref().to_path_buf();
         if path.exists() {
             refuse_unknown_schema(&path, &options).await?;
@@ -140,9 +151,7 @@ impl Store {
             .max_connections(options.n_readers.max(1))
             .max_lifetime(None::<Duration>)
             .connect_lazy_with(reading(&path, &options));
-        let store = Self { writer, readers, path };
-        store.clear_deleted_sessions().await?;
-        Ok(store)
+        Ok(Self { writer, readers, path })
     }
 
     /// Folds the log into the database file.

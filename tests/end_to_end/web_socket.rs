@@ -158,7 +158,7 @@ async fn what_is_no_stream_of_ours_is_refused_by_status() {
     assert_eq!(status(unknown), 400);
     let mut foreign = address(&server, "room", "").into_client_request().unwrap();
     foreign.headers_mut().insert("origin", "http://evil.example".parse().unwrap());
-    assert_eq!(status(connect_async(foreign).await.unwrap_err()), 400);
+    assert_eq!(status(connect_async(foreign).await.unwrap_err()), 403);
     let plain = format!("http://{}/v1/sessions/room/stream", server.running().http_addr);
     let plain = reqwest::get(plain).await.unwrap();
     assert_eq!(plain.status(), 400);

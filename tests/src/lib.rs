@@ -18,6 +18,7 @@ use proto::v1::slam_service_client::SlamServiceClient;
 use server::{Config, Running, Server, Shutdown};
 use std::net::SocketAddr;
 use std::path::Path;
+use store::{NewToken, TokenQuotas, TokenRole};
 use tempfile::TempDir;
 use tonic::transport::Channel;
 
@@ -79,6 +80,24 @@ impl TestServer {
         self.folder.path()
     }
 
+    /// Makes a token in the database, as another program would; the server notices it a moment later.
+    pub async fn make_token(&self, name: &str, role: TokenRole, quotas: TokenQuotas) -> String {
+        let token = server::access::new_token();
+        let owner = (role != TokenRole::Admin).then(|| name.trim_end_matches("-reader").to_owned());
+        let hash = server::access::token_hash(&token);
+        let name = name.to_owned();
+        let new = NewToken { name, hash, role, owner, created_at_ns: 0, expires_at_ns: None, quotas };
+        self.running.store().create_token(&new).await.expect("the token is made");
+        token
+    }
+
+    /// As [`Self::make_token`], and waits until the server knows it.
+    pub async fn token(&self, name: &str, role: TokenRole) -> String {
+        let token = self.make_token(name, role, TokenQuotas::default()).await;
+        self.running.reload().await;
+        token
+    }
+
     /// A new connection.
     pub async fn client(&self) -> Client {
         connect(self.running.grpc_addr).await.expect("the server takes connections")
@@ -93,6 +112,13 @@ impl TestServer {
     pub async fn get_json(&self, path: &str) -> serde_json::Value {
         serde_json::from_str(&self.get(path).await).expect("the page is JSON")
     }
+}
+
+/// A request with a token.
+pub fn with_token<T>(token: &str, message: T) -> tonic::Request<T> {
+    let mut request = tonic::Request::new(message);
+    request.metadata_mut().insert("authorization", format!("Bearer {token}").parse().expect("a token"));
+    request
 }
 
 /// A new connection to a server.

@@ -3,11 +3,11 @@
 import assert from 'node:assert/strict';
 import { rmSync } from 'node:fs';
 import { chromium } from 'playwright-core';
-import { emptyServer } from './servers.mjs';
+import { emptyServer, sharedServer } from './servers.mjs';
 import { fakeCamera } from './video.mjs';
 
 /** A name that is not this machine's own, so that the page is not secure. */
-const ELSEWHERE = 'elsewhere.example';
+const ELSEWHERE = 'elsewhere';
 
 const state = (page, wanted) => page.waitForSelector(`.capture[data-state="${wanted}"]`, { timeout: 60_000 });
 const pictures = async (page) => Number(/(\d+) pictures/.exec((await page.locator('.figures-line').textContent()) ?? '')?.[1] ?? 0);
@@ -72,6 +72,27 @@ async function mapped(browser, { newPage, check, picture, passed, forgetComplain
   await page.context().close();
 }
 
+/** What a phone does with the address of `--quick-share`. */
+async function shared(browser, { newPage, passed }, fovDeg) {
+  const server = await sharedServer();
+  try {
+    const page = await newPage(browser, { viewport: { width: 390, height: 780 }, permissions: ['camera'], ignoreHTTPSErrors: true });
+    await page.goto(server.link);
+    assert.ok(!page.url().includes('token'), page.url());
+    await page.getByLabel('Field of view').fill(fovDeg.toFixed(2));
+    await page.getByRole('button', { name: 'Start the camera' }).click();
+    await state(page, 'tracked');
+    await page.getByRole('button', { name: 'Stop' }).click();
+    await page.getByText('Done').waitFor({ timeout: 60_000 });
+    await page.getByRole('link', { name: 'See the map' }).click();
+    await page.waitForFunction(() => document.querySelector('.waiting')?.hidden);
+    passed('a phone maps by the address of --quick-share: encrypted, with its token, and sees the map');
+    await page.context().close();
+  } finally {
+    await server.remove();
+  }
+}
+
 /** Runs with the tools of `run.mjs`. */
 export async function capture(tools) {
   const camera = fakeCamera();
@@ -86,6 +107,7 @@ export async function capture(tools) {
   try {
     await insecure(browser, tools, server);
     await mapped(browser, tools, server, camera.fovDeg);
+    await shared(browser, tools, camera.fovDeg);
   } finally {
     await browser.close();
     await server.remove();

@@ -12,6 +12,7 @@ import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { pathToFileURL } from 'node:url';
 import { chromium } from 'playwright-core';
+import { access } from './access.mjs';
 import { capture } from './capture.mjs';
 import { demonstration, emptyServer, PROGRAMS } from './servers.mjs';
 
@@ -260,6 +261,7 @@ async function viewer() {
 }
 
 if (!process.argv.includes('--only-capture')) await viewer();
+await access({ newPage, check, passed, forgetComplaints, flags: FLAGS, browserPath });
 await capture({ newPage, check, picture, passed, forgetComplaints, flags: FLAGS, browserPath });
 assert.deepEqual(complaints, [], 'the console');
 passed('no errors in the console');

@@ -1,6 +1,6 @@
 /** Real servers for the browser's tests: an empty one, and the demonstration with its stream. */
 
-import { spawn } from 'node:child_process';
+import { execFileSync, spawn } from 'node:child_process';
 import { mkdtempSync, rmSync } from 'node:fs';
 import { createServer } from 'node:net';
 import { tmpdir } from 'node:os';
@@ -51,8 +51,12 @@ export async function emptyServer() {
     await stop();
     rmSync(data, { recursive: true, force: true });
   };
+  const makeToken = (name) => {
+    const options = ['token', 'create', name, '--data-dir', data];
+    return execFileSync(join(PROGRAMS, 'monoslam-server'), options, { stdio: ['ignore', 'pipe', 'ignore'] }).toString().trim();
+  };
   await start();
-  return { url, start, stop, remove };
+  return { url, start, stop, remove, makeToken };
 }
 
 /** The demonstration: a server that a synthetic room is being streamed through. */
@@ -78,4 +82,27 @@ export async function demonstration(frames) {
     clearTimeout(patience);
   };
   return { grpc, url, remove };
+}
+
+/** A server that is shared with a phone; `link` is what its QR code says. */
+export async function sharedServer() {
+  const data = mkdtempSync(join(tmpdir(), 'monoslam-viewer-'));
+  const [grpc, http] = [`127.0.0.1:${await freePort()}`, `127.0.0.1:${await freePort()}`];
+  const options = ['--quick-share', '--data-dir', data, '--grpc-addr', grpc, '--http-addr', http];
+  const child = spawn(join(PROGRAMS, 'monoslam-server'), options, { stdio: ['ignore', 'pipe', 'ignore'] });
+  let text = '';
+  const link = await new Promise((resolve, reject) => {
+    child.stdout.on('data', (bytes) => {
+      text += bytes;
+      const match = /https:\/\/\S+#token=\S+/.exec(text);
+      if (match) resolve(match[0]);
+    });
+    child.once('exit', () => reject(new Error(`the server ended:\n${text}`)));
+  });
+  const remove = async () => {
+    child.kill('SIGKILL');
+    await ended(child);
+    rmSync(data, { recursive: true, force: true });
+  };
+  return { link, remove };
 }

@@ -2,6 +2,7 @@
 
 import './style.css';
 import { openSession, parseAddress } from './address';
+import { admit, takeTokenFromAddress } from './data/access';
 import { embedded } from './data/embedded';
 import { h } from './dom';
 import { ListPage } from './list';
@@ -44,4 +45,9 @@ function fillPictures(): void {
 setUpTheme(document.getElementById('theme') as HTMLButtonElement);
 window.addEventListener('hashchange', show);
 fillPictures();
-show();
+if (embedded) {
+  show();
+} else {
+  takeTokenFromAddress();
+  void admit().then(show);
+}

@@ -107,7 +107,7 @@ impl LocalServer {
         let plan = if is_realtime { StreamPlan::realtime } else { StreamPlan::lossless };
         let plan = plan(session.id, source.as_ref());
         let summary = stream_with_progress(&mut client, &source, &plan).await?;
-        let estimate = HttpClient::new(self.http()).trajectory(&plan.session_id).await?;
+        let estimate = HttpClient::new(self.http())?.trajectory(&plan.session_id).await?;
         let options = EvaluationOptions { n_frames: Some(summary.frames), ..EvaluationOptions::default() };
         let evaluation = match truth.map(|truth| evaluate(truth, &estimate, &options)) {
             Some(Ok(evaluation)) => Some(evaluation),
@@ -123,7 +123,7 @@ impl LocalServer {
 
     /// Everything about the session on one page.
     pub async fn report(&self, known: Known) -> Result<Report> {
-        Report::of(&HttpClient::new(self.http()), SESSION, known, N_PICTURES).await
+        Report::of(&HttpClient::new(self.http())?, SESSION, known, N_PICTURES).await
     }
 
     /// The map with the trajectories, to be drawn.

@@ -14,9 +14,11 @@ mod stream;
 mod summary;
 mod trajectory;
 
-use anyhow::Result;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
-use client::{HttpClient, SlamClient};
+use client::{Credentials, HttpClient, SlamClient};
 
 /// What to do.
 #[derive(Debug, Subcommand)]
@@ -68,11 +70,17 @@ pub struct ServerArgs {
     /// HTTP address of the server [default: the same host, at the port the server tells]
     #[arg(long, value_name = "URL")]
     http: Option<String>,
+    /// Token for the server, as `monoslam-server token create` printed it
+    #[arg(long, value_name = "TOKEN", env = "MONOSLAM_TOKEN", hide_env_values = true)]
+    token: Option<String>,
+    /// Certificates, PEM, that the server's must be or be vouched for by [default: the system's]
+    #[arg(long, value_name = "FILE", env = "MONOSLAM_CA")]
+    ca: Option<PathBuf>,
 }
 
 impl ServerArgs {
     async fn connect(&self) -> Result<SlamClient> {
-        Ok(SlamClient::connect(&self.server).await?)
+        Ok(SlamClient::connect_with(&self.server, self.credentials()?).await?)
     }
 
     async fn http(&self) -> Result<HttpClient> {
@@ -80,14 +88,23 @@ impl ServerArgs {
             Some(address) => address.clone(),
             None => self.connect().await?.http_address().await?,
         };
-        Ok(HttpClient::new(address))
+        Ok(HttpClient::with(address, &self.credentials()?)?)
+    }
+
+    fn credentials(&self) -> Result<Credentials> {
+        let read = |file: &PathBuf| {
+            std::fs::read(file).with_context(|| format!("cannot read the certificates in {}", file.display()))
+        };
+        let token = self.token.clone().filter(|token| !token.is_empty());
+        Ok(Credentials { token, ca_pem: self.ca.as_ref().map(read).transpose()? })
     }
 }
 
-/// A session's id: letters, digits, `-` and `_`, up to 64.
+/// A session's id: letters, digits, `-` and `_`, up to 64; for administrators after its owner and `~`.
 fn session_id(text: &str) -> Result<String, String> {
     let is_valid = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
-    if (1..=64).contains(&text.len()) && text.chars().all(is_valid) {
+    let is_name = |name: &str| (1..=64).contains(&name.len()) && name.chars().all(is_valid);
+    if text.split_once('~').map_or(is_name(text), |(owner, name)| is_name(owner) && is_name(name)) {
         Ok(text.to_owned())
     } else {
         Err("a session's name is 1 to 64 letters, digits, `-` and `_`".to_owned())

@@ -40,15 +40,16 @@ def free_port() -> int:
 class Server:
     """A server process over a folder; it can be killed and started again at the same address."""
 
-    def __init__(self, data_dir: Path) -> None:
+    def __init__(self, data_dir: Path, options: list[str] | None = None) -> None:
         self.data_dir = data_dir
+        self.options = options or []
         self.grpc = f"127.0.0.1:{free_port()}"
         self.http = f"127.0.0.1:{free_port()}"
         self.process: subprocess.Popen[str] | None = None
         self.start()
 
     def start(self) -> None:
-        options = ["--grpc-addr", self.grpc, "--http-addr", self.http, "--data-dir", str(self.data_dir)]
+        options = ["--grpc-addr", self.grpc, "--http-addr", self.http, "--data-dir", str(self.data_dir), *self.options]
         log = (self.data_dir.parent / "server.log").open("a+")
         began = log.seek(0, os.SEEK_END)
         self.process = subprocess.Popen([program("monoslam-server"), *options], stderr=log, text=True)

@@ -24,6 +24,7 @@ struct Session {
 #[derive(Default)]
 struct State {
     is_busy: bool,
+    is_dormant: bool,
     is_leaving: bool,
     room: Option<Room>,
     has_ended: bool,
@@ -81,6 +82,11 @@ impl Resident for Session {
 
     fn end(&self) {
         self.change(|state| (state.is_busy, state.is_leaving) = (false, true));
+    }
+
+    fn is_dormant(&self) -> bool {
+        let state = self.state.lock().unwrap();
+        state.is_busy && state.is_dormant
     }
 
     fn has_ended(&self) -> bool {
@@ -217,6 +223,29 @@ fn nobody_who_needs_room_waits_for_anothers_stream() {
             });
             streaming.join().unwrap();
             needing.join().unwrap();
+        },
+        N_ORDERS,
+    );
+}
+
+#[test]
+fn whoever_needs_room_gets_that_of_a_stream_that_is_not_used() {
+    shuttle::check_random(
+        || {
+            let server = Arc::new(Server::new(1));
+            let count = Arc::new(Count::default());
+            let unused = block_on(open(&server, "a", &count)).unwrap();
+            unused.change(|state| state.is_dormant = true);
+            let clients = ["b", "c"].map(|key| {
+                let (server, count) = (server.clone(), count.clone());
+                client(async move {
+                    let Some(session) = open(&server, key, &count).await else { return };
+                    session.change(|state| state.is_busy = false);
+                })
+            });
+            clients.into_iter().for_each(|client| client.join().unwrap());
+            assert!(unused.has_ended(), "its client still has the place it did not use");
+            assert!(count.most.load(Ordering::SeqCst) <= 1);
         },
         N_ORDERS,
     );

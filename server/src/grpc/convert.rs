@@ -1,12 +1,13 @@
 //! Between the messages of the contract and the service's types.
 
-use crate::error::{ApiError, ErrorCode, FieldViolation};
+use crate::access::Caller;
+use crate::error::{ApiError, FieldViolation};
 use crate::model::{Pose, Scale, Units};
 use crate::options::{SessionOptions, convert_options};
 use crate::service::NewSession;
 use crate::session::{
     Answer, Before, Encoding, Located, MapChange, Mode, OpenRequest, Policy, Rejection, Reply, SentFrame,
-    SentImage, SessionEvent, SessionId, SessionView,
+    SentImage, SessionEvent, SessionView,
 };
 use crate::watch::Watched;
 use geometry::{CameraModel, CameraParameters, PinholeCorrection};
@@ -19,9 +20,12 @@ use std::time::Instant;
 use store::MAX_SEQUENCE;
 use vision::decode::PixelFormat;
 
-pub(super) fn new_session(request: v1::CreateSessionRequest) -> Result<NewSession, ApiError> {
+pub(super) fn new_session(
+    caller: &Caller,
+    request: v1::CreateSessionRequest,
+) -> Result<NewSession, ApiError> {
     let v1::CreateSessionRequest { session_id, camera, options } = request;
-    let id = if session_id.is_empty() { None } else { Some(SessionId::parse(&session_id, "session_id")?) };
+    let id = if session_id.is_empty() { None } else { Some(caller.session(&session_id, "session_id")?) };
     let camera = camera.ok_or_else(|| ApiError::invalid("camera", "a session needs a camera"))?;
     let options = options.map(SessionOptions::from).unwrap_or_default();
     Ok(NewSession { id, camera: camera_parameters(camera)?, options })
@@ -157,7 +161,7 @@ pub(super) fn tracking_state(state: FrameState) -> v1::TrackingState {
     }
 }
 
-pub(super) fn open_request(open: v1::OpenStream) -> Result<OpenRequest, ApiError> {
+pub(super) fn open_request(caller: &Caller, open: v1::OpenStream) -> Result<OpenRequest, ApiError> {
     let mut violations = Vec::new();
     let mut violate = |field: &str, description: &str| {
         violations.push(FieldViolation { field: field.into(), description: description.into() });
@@ -178,11 +182,10 @@ pub(super) fn open_request(open: v1::OpenStream) -> Result<OpenRequest, ApiError
             Policy::Lossless
         }
     };
-    if let Some(first) = violations.first() {
-        let message = format!("{}: {}", first.field, first.description);
-        return Err(ApiError { code: ErrorCode::InvalidArgument, message, violations });
+    if !violations.is_empty() {
+        return Err(ApiError::invalid_fields(violations));
     }
-    let id = SessionId::parse(&open.session_id, "open.session_id")?;
+    let id = caller.session(&open.session_id, "open.session_id")?;
     Ok(OpenRequest { id, mode, policy, take_over: open.take_over })
 }
 

@@ -1,11 +1,12 @@
 //! The ways of a request before it reaches the service, for the fuzz targets (`server/fuzz`).
 
 use super::convert;
+use crate::access::Caller;
 use crate::error::ApiError;
 use crate::options::engine_config;
 use crate::page::PageRequest;
 use crate::service::check_camera;
-use crate::session::{SessionId, decode_image};
+use crate::session::decode_image;
 use prost::Message as _;
 use proto::v1;
 use proto::v1::stream_frames_request::Message;
@@ -30,7 +31,7 @@ pub fn take(kind: u8, message: &[u8]) {
 }
 
 fn create_session(request: v1::CreateSessionRequest) -> Result<(), ApiError> {
-    let new = convert::new_session(request)?;
+    let new = convert::new_session(&Caller::open(), request)?;
     let config = engine_config(&new.options)?;
     if let Ok(camera) = check_camera(new.camera) {
         // What the engine sizes its grids by.
@@ -43,7 +44,7 @@ fn create_session(request: v1::CreateSessionRequest) -> Result<(), ApiError> {
 
 fn stream_frames(request: v1::StreamFramesRequest) -> Result<(), ApiError> {
     match request.message {
-        Some(Message::Open(open)) => convert::open_request(open).map(drop),
+        Some(Message::Open(open)) => convert::open_request(&Caller::open(), open).map(drop),
         Some(Message::Frame(frame)) => {
             match convert::frame(frame) {
                 Ok(frame) => decode(&frame.image),
@@ -56,7 +57,7 @@ fn stream_frames(request: v1::StreamFramesRequest) -> Result<(), ApiError> {
 }
 
 fn localize(request: v1::LocalizeRequest) -> Result<(), ApiError> {
-    SessionId::parse(&request.session_id, "session_id")?;
+    Caller::open().session(&request.session_id, "session_id")?;
     decode(&convert::image_to_locate(request.image)?);
     Ok(())
 }

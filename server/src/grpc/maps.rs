@@ -1,6 +1,7 @@
 //! Questions about maps, answered in streams.
 
 use super::convert;
+use crate::access::Caller;
 use crate::error::ApiError;
 use crate::ids::checked_id;
 use crate::maps::{
@@ -21,9 +22,10 @@ pub type Rows<T> = BoxStream<'static, Result<T, Status>>;
 
 pub async fn keyframes(
     maps: &MapQueries,
+    caller: &Caller,
     request: v1::ListKeyframesRequest,
 ) -> Result<Rows<v1::ListKeyframesResponse>, ApiError> {
-    let id = super::session_id(&request.session_id)?;
+    let id = super::session_id(caller, &request.session_id)?;
     let Scaled { scale, value } = maps.all_keyframes(&id).await?;
     let scale = convert::scale(scale).into();
     Ok(rows(value, keyframe, move |keyframes| v1::ListKeyframesResponse { scale, keyframes }))
@@ -31,10 +33,11 @@ pub async fn keyframes(
 
 pub async fn points(
     maps: &MapQueries,
+    caller: &Caller,
     request: v1::QueryPointsRequest,
 ) -> Result<Rows<v1::QueryPointsResponse>, ApiError> {
     let v1::QueryPointsRequest { session_id, bbox, near, radius, min_observations, submap_id } = request;
-    let id = super::session_id(&session_id)?;
+    let id = super::session_id(caller, &session_id)?;
     let place = place(bbox, near, radius)?;
     let query = PointQuery { place, min_observations, submap: submap_id.map(SubmapId) };
     let Scaled { scale, value } = maps.all_points(&id, &query).await?;
@@ -44,11 +47,12 @@ pub async fn points(
 
 pub async fn lines(
     maps: &MapQueries,
+    caller: &Caller,
     request: v1::QueryLinesRequest,
 ) -> Result<Rows<v1::QueryLinesResponse>, ApiError> {
     let v1::QueryLinesRequest { session_id, bbox, near, radius, min_observations, submap_id, primitive_id } =
         request;
-    let id = super::session_id(&session_id)?;
+    let id = super::session_id(caller, &session_id)?;
     let place = place(bbox, near, radius)?;
     let primitive = primitive_id.map(|number| checked_id("primitive_id", number)).transpose()?;
     let query = LineQuery { place, min_observations, submap: submap_id.map(SubmapId), primitive };
@@ -59,18 +63,20 @@ pub async fn lines(
 
 pub async fn primitives(
     maps: &MapQueries,
+    caller: &Caller,
     request: v1::ListPrimitivesRequest,
 ) -> Result<Rows<v1::ListPrimitivesResponse>, ApiError> {
-    let id = super::session_id(&request.session_id)?;
+    let id = super::session_id(caller, &request.session_id)?;
     let primitives = maps.all_primitives(&id, request.submap_id.map(SubmapId)).await?;
     Ok(rows(primitives, primitive, |primitives| v1::ListPrimitivesResponse { primitives }))
 }
 
 pub async fn trajectory(
     maps: &MapQueries,
+    caller: &Caller,
     request: v1::GetTrajectoryRequest,
 ) -> Result<Rows<v1::GetTrajectoryResponse>, ApiError> {
-    let id = super::session_id(&request.session_id)?;
+    let id = super::session_id(caller, &request.session_id)?;
     let kind = match v1::TrajectoryKind::try_from(request.kind) {
         Ok(v1::TrajectoryKind::Unspecified | v1::TrajectoryKind::Frames) => TrajectoryKind::Frames,
         Ok(v1::TrajectoryKind::Keyframes) => TrajectoryKind::Keyframes,
@@ -87,9 +93,10 @@ pub async fn trajectory(
 
 pub async fn export(
     maps: &MapQueries,
+    caller: &Caller,
     request: v1::ExportMapRequest,
 ) -> Result<Rows<v1::ExportMapResponse>, ApiError> {
-    let id = super::session_id(&request.session_id)?;
+    let id = super::session_id(caller, &request.session_id)?;
     let format = match v1::MapFormat::try_from(request.format) {
         Ok(v1::MapFormat::Ply) => MapFormat::Ply,
         Ok(v1::MapFormat::Json) => MapFormat::Json,

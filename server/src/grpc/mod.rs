@@ -1,11 +1,14 @@
 //! The gRPC skin: decode, call the service, encode.
 
 mod convert;
+mod deadline;
 #[cfg(fuzzing)]
 pub mod fuzzing;
 mod maps;
 mod stream;
 
+use crate::access::{self, Caller, Door};
+use crate::connections::{self, Interface, Opening, Port};
 use crate::error::ApiError;
 use crate::options::SessionOptions;
 use crate::page::PageRequest;
@@ -16,33 +19,28 @@ use proto::v1;
 use proto::v1::slam_service_server::{SlamService, SlamServiceServer};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::time::Duration;
-use tokio::net::TcpListener;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt};
 use tokio_util::sync::CancellationToken;
 use tonic::codegen::http::{HeaderName, HeaderValue};
 use tonic::service::Routes;
-use tonic::transport::server::TcpIncoming;
 use tonic::{Request, Response, Status};
 use tower_http::set_header::SetResponseHeaderLayer;
-
-/// A client that does not answer a ping for this long is gone, so that a phone that lost its network frees
-/// its session.
-const KEEPALIVE: (Duration, Duration) = (Duration::from_secs(15), Duration::from_secs(15));
 
 /// Every answer says on which port the same host serves HTTP, so that a client needs to know one address
 /// only.
 const HTTP_PORT_HEADER: HeaderName = HeaderName::from_static("x-monoslam-http-port");
 
+/// The call whose client may pause in the middle of what it sends, and which the sessions end in a shutdown.
+const PATIENT: &[&str] = &["/monoslam.v1.SlamService/StreamFrames"];
+
 /// Serves gRPC until `closing`, then lets what is under way end.
 pub(crate) async fn serve(
     service: Arc<Service>,
-    listener: TcpListener,
+    opening: Opening,
     http_port: u16,
     closing: CancellationToken,
 ) -> anyhow::Result<()> {
-    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<SlamServiceServer<Handler>>().await;
     let not_serving = {
@@ -53,21 +51,21 @@ pub(crate) async fn serve(
         }
     };
     tokio::spawn(not_serving);
-    tonic::transport::Server::builder()
-        .http2_keepalive_interval(Some(KEEPALIVE.0))
-        .http2_keepalive_timeout(Some(KEEPALIVE.1))
-        .layer(SetResponseHeaderLayer::overriding(HTTP_PORT_HEADER, HeaderValue::from(http_port)))
-        .add_routes(routes(service)?.add_service(health))
-        .serve_with_incoming_shutdown(incoming, closing.cancelled_owned())
-        .await?;
+    let door = Door { access: service.access().clone(), interface: Interface::Grpc };
+    let router = routes(service)?
+        .add_service(health)
+        .into_axum_router()
+        .layer(axum::middleware::from_fn(deadline::keep))
+        .layer(axum::middleware::from_fn_with_state(door, access::check))
+        .layer(SetResponseHeaderLayer::overriding(HTTP_PORT_HEADER, HeaderValue::from(http_port)));
+    let Opening { listener, tls, table } = opening;
+    let port = Port { listener, interface: Interface::Grpc, tls, table, patient_paths: PATIENT };
+    connections::serve(port, router, closing).await;
     Ok(())
 }
 
-/// The service with reflection, without a socket.
-///
-/// # Errors
-/// If the descriptors do not parse, which a build with a broken contract would show.
-pub fn routes(service: Arc<Service>) -> anyhow::Result<Routes> {
+/// The service with reflection, without a socket and without a door.
+fn routes(service: Arc<Service>) -> anyhow::Result<Routes> {
     let reflection = tonic_reflection::server::Builder::configure()
         .register_encoded_file_descriptor_set(proto::FILE_DESCRIPTOR_SET)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
@@ -91,15 +89,17 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::CreateSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
-        let new = convert::new_session(request.into_inner())?;
-        Ok(Response::new(convert::session(&self.service.create_session(new).await?)))
+        let caller = caller_of(&request)?;
+        let new = convert::new_session(&caller, request.into_inner())?;
+        Ok(Response::new(convert::session(&self.service.create_session(&caller, new).await?)))
     }
 
     async fn get_session(
         &self,
         request: Request<v1::GetSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
-        let id = session_id(&request.get_ref().session_id)?;
+        let caller = caller_of(&request)?;
+        let id = session_id(&caller, &request.get_ref().session_id)?;
         Ok(Response::new(convert::session(&self.service.get_session(&id).await?)))
     }
 
@@ -107,8 +107,9 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::ListSessionsRequest>,
     ) -> Result<Response<v1::ListSessionsResponse>, Status> {
+        let caller = caller_of(&request)?;
         let v1::ListSessionsRequest { page_size, page_token } = request.into_inner();
-        let page = self.service.list_sessions(&PageRequest::new(page_size, page_token)?).await?;
+        let page = self.service.list_sessions(&caller, &PageRequest::new(page_size, page_token)?).await?;
         Ok(Response::new(v1::ListSessionsResponse {
             sessions: page.items.iter().map(convert::session).collect(),
             next_page_token: page.next_page_token.unwrap_or_default(),
@@ -119,8 +120,9 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::DeleteSessionRequest>,
     ) -> Result<Response<v1::DeleteSessionResponse>, Status> {
-        let id = session_id(&request.get_ref().session_id)?;
-        self.service.delete_session(&id).await?;
+        let caller = caller_of(&request)?;
+        let id = session_id(&caller, &request.get_ref().session_id)?;
+        self.service.delete_session(&caller, &id).await?;
         Ok(Response::new(v1::DeleteSessionResponse {}))
     }
 
@@ -128,9 +130,10 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::UpdateSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
+        let caller = caller_of(&request)?;
         let v1::UpdateSessionRequest { session_id: id, options } = request.into_inner();
         let options = options.map(SessionOptions::from).unwrap_or_default();
-        let view = self.service.update_session(&session_id(&id)?, options).await?;
+        let view = self.service.update_session(&caller, &session_id(&caller, &id)?, options).await?;
         Ok(Response::new(convert::session(&view)))
     }
 
@@ -138,8 +141,9 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::SetScaleRequest>,
     ) -> Result<Response<v1::Session>, Status> {
+        let caller = caller_of(&request)?;
         let v1::SetScaleRequest { session_id: id, metres_per_unit } = request.into_inner();
-        let view = self.service.set_scale(&session_id(&id)?, metres_per_unit).await?;
+        let view = self.service.set_scale(&caller, &session_id(&caller, &id)?, metres_per_unit).await?;
         Ok(Response::new(convert::session(&view)))
     }
 
@@ -147,8 +151,9 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::LocalizeRequest>,
     ) -> Result<Response<v1::LocalizeResponse>, Status> {
+        let caller = caller_of(&request)?;
         let v1::LocalizeRequest { session_id: id, image } = request.into_inner();
-        let id = session_id(&id)?;
+        let id = session_id(&caller, &id)?;
         let located = self.service.localize(&id, convert::image_to_locate(image)?).await?;
         Ok(Response::new(convert::located(&located)))
     }
@@ -157,7 +162,8 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::OptimizeMapRequest>,
     ) -> Result<Response<v1::OptimizeMapResponse>, Status> {
-        self.service.optimize(&session_id(&request.get_ref().session_id)?).await?;
+        let caller = caller_of(&request)?;
+        self.service.optimize(&session_id(&caller, &request.get_ref().session_id)?).await?;
         Ok(Response::new(v1::OptimizeMapResponse {}))
     }
 
@@ -167,7 +173,8 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::WatchMapRequest>,
     ) -> Result<Response<Self::WatchMapStream>, Status> {
-        let id = session_id(&request.get_ref().session_id)?;
+        let caller = caller_of(&request)?;
+        let id = session_id(&caller, &request.get_ref().session_id)?;
         let events = ReceiverStream::new(watch(self.service.clone(), id).await?);
         let events =
             events.filter_map(|event| event.map(convert::session_event).map_err(Status::from).transpose());
@@ -180,7 +187,8 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::ListKeyframesRequest>,
     ) -> Result<Response<Self::ListKeyframesStream>, Status> {
-        Ok(Response::new(maps::keyframes(self.service.maps(), request.into_inner()).await?))
+        let caller = caller_of(&request)?;
+        Ok(Response::new(maps::keyframes(self.service.maps(), &caller, request.into_inner()).await?))
     }
 
     type QueryPointsStream = maps::Rows<v1::QueryPointsResponse>;
@@ -189,7 +197,8 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::QueryPointsRequest>,
     ) -> Result<Response<Self::QueryPointsStream>, Status> {
-        Ok(Response::new(maps::points(self.service.maps(), request.into_inner()).await?))
+        let caller = caller_of(&request)?;
+        Ok(Response::new(maps::points(self.service.maps(), &caller, request.into_inner()).await?))
     }
 
     type QueryLinesStream = maps::Rows<v1::QueryLinesResponse>;
@@ -198,7 +207,8 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::QueryLinesRequest>,
     ) -> Result<Response<Self::QueryLinesStream>, Status> {
-        Ok(Response::new(maps::lines(self.service.maps(), request.into_inner()).await?))
+        let caller = caller_of(&request)?;
+        Ok(Response::new(maps::lines(self.service.maps(), &caller, request.into_inner()).await?))
     }
 
     type ListPrimitivesStream = maps::Rows<v1::ListPrimitivesResponse>;
@@ -207,7 +217,8 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::ListPrimitivesRequest>,
     ) -> Result<Response<Self::ListPrimitivesStream>, Status> {
-        Ok(Response::new(maps::primitives(self.service.maps(), request.into_inner()).await?))
+        let caller = caller_of(&request)?;
+        Ok(Response::new(maps::primitives(self.service.maps(), &caller, request.into_inner()).await?))
     }
 
     type GetTrajectoryStream = maps::Rows<v1::GetTrajectoryResponse>;
@@ -216,7 +227,8 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::GetTrajectoryRequest>,
     ) -> Result<Response<Self::GetTrajectoryStream>, Status> {
-        Ok(Response::new(maps::trajectory(self.service.maps(), request.into_inner()).await?))
+        let caller = caller_of(&request)?;
+        Ok(Response::new(maps::trajectory(self.service.maps(), &caller, request.into_inner()).await?))
     }
 
     type ExportMapStream = maps::Rows<v1::ExportMapResponse>;
@@ -225,7 +237,8 @@ impl SlamService for Handler {
         &self,
         request: Request<v1::ExportMapRequest>,
     ) -> Result<Response<Self::ExportMapStream>, Status> {
-        Ok(Response::new(maps::export(self.service.maps(), request.into_inner()).await?))
+        let caller = caller_of(&request)?;
+        Ok(Response::new(maps::export(self.service.maps(), &caller, request.into_inner()).await?))
     }
 
     type StreamFramesStream = stream::Answers;
@@ -234,10 +247,17 @@ impl SlamService for Handler {
         &self,
         request: Request<tonic::Streaming<v1::StreamFramesRequest>>,
     ) -> Result<Response<Self::StreamFramesStream>, Status> {
-        Ok(Response::new(stream::start(self.service.clone(), request.into_inner())))
+        let caller = caller_of(&request)?;
+        Ok(Response::new(stream::start(self.service.clone(), caller, request.into_inner())))
     }
 }
 
-fn session_id(text: &str) -> Result<SessionId, ApiError> {
-    SessionId::parse(text, "session_id")
+/// Who asks, as the door found out.
+fn caller_of<T>(request: &Request<T>) -> Result<Caller, ApiError> {
+    let caller = request.extensions().get::<Caller>().cloned();
+    caller.ok_or_else(|| ApiError::internal("a call is not behind the door"))
+}
+
+fn session_id(caller: &Caller, text: &str) -> Result<SessionId, ApiError> {
+    caller.session(text, "session_id")
 }

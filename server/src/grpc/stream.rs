@@ -1,7 +1,9 @@
 //! One bidirectional stream of frames and answers.
 
 use super::convert;
+use crate::access::Caller;
 use crate::error::{ApiError, ErrorCode};
+use crate::network::span;
 use crate::service::Service;
 use crate::session::{FrameQueue, OpenRequest, Queued, Replies, Reply};
 use proto::v1;
@@ -21,23 +23,28 @@ const MAX_WAITING_ANSWERS: usize = 16;
 pub type Answers = Pin<Box<dyn Stream<Item = Result<v1::StreamFramesResponse, Status>> + Send>>;
 
 /// Serves a stream in a task of its own: the client sees the headers of the answer at once.
-pub fn start(service: Arc<Service>, requests: Streaming<v1::StreamFramesRequest>) -> Answers {
+pub fn start(service: Arc<Service>, caller: Caller, requests: Streaming<v1::StreamFramesRequest>) -> Answers {
     let (replies, answers) = mpsc::channel(MAX_WAITING_ANSWERS);
-    tokio::spawn(serve(service, requests, replies));
+    tokio::spawn(serve(service, caller, requests, replies));
     Box::pin(ReceiverStream::new(answers).map(|reply: Result<Reply, ApiError>| match reply {
         Ok(reply) => Ok(convert::reply(reply)),
         Err(error) => Err(error.into()),
     }))
 }
 
-async fn serve(service: Arc<Service>, mut requests: Streaming<v1::StreamFramesRequest>, replies: Replies) {
-    match open(&service, &mut requests, &replies).await {
+async fn serve(
+    service: Arc<Service>,
+    caller: Caller,
+    mut requests: Streaming<v1::StreamFramesRequest>,
+    replies: Replies,
+) {
+    match open(&service, &caller, &mut requests, &replies).await {
         Ok(queue) => {
             // From here on the session alone holds the answers' channel, and its end is the end of the
             // stream.
             drop(replies);
             let ending = tokio::select! {
-                ending = read_frames(&mut requests, &queue) => ending,
+                ending = read_frames(&caller, &mut requests, &queue) => ending,
                 () = queue.closed() => return,
             };
             queue.close(ending);
@@ -50,20 +57,26 @@ async fn serve(service: Arc<Service>, mut requests: Streaming<v1::StreamFramesRe
 
 async fn open(
     service: &Service,
+    caller: &Caller,
     requests: &mut Streaming<v1::StreamFramesRequest>,
     replies: &Replies,
 ) -> Result<Arc<FrameQueue>, ApiError> {
-    let first = next(requests).await?.map(|request| request.message);
+    let patience = span(service.config().connections.body_timeout_s);
+    let first = tokio::time::timeout(patience, next(requests)).await.map_err(|_elapsed| {
+        ApiError::invalid("open", format!("the first message of a stream must come within {patience:?}"))
+    })?;
+    let first = first?.map(|request| request.message);
     let Some(Some(Message::Open(open))) = first else {
         return Err(ApiError::invalid("open", "the first message of a stream must be `open`"));
     };
-    let request: OpenRequest = convert::open_request(open)?;
+    let request: OpenRequest = convert::open_request(caller, open)?;
     // Not given up half-way, even if the client is gone by then: whoever is told of a queue closes it.
-    service.open_stream(request, replies.clone()).await
+    service.open_stream(caller, request, replies.clone()).await
 }
 
 /// Queues frames until the client ends the stream or breaks the rules.
 async fn read_frames(
+    caller: &Caller,
     requests: &mut Streaming<v1::StreamFramesRequest>,
     queue: &FrameQueue,
 ) -> Result<(), ApiError> {
@@ -79,7 +92,7 @@ async fn read_frames(
             }
         };
         let item = item.map_or_else(Queued::Rejected, Queued::Frame);
-        if queue.push(item).await.is_err() {
+        if caller.push(queue, item).await.is_err() {
             return Ok(());
         }
     }

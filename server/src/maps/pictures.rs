@@ -37,7 +37,7 @@ impl MapQueries {
     pub async fn picture(&self, id: &SessionId) -> Result<Picture, ApiError> {
         let created_at_ns = self.store.get_session(id.as_str()).await?.created_at_ns;
         let newest = self.store.newest_image(id.as_str()).await?.ok_or_else(|| no_image(id))?;
-        let tag = format!("{id}-{created_at_ns}-{newest}");
+        let tag = format!("{}-{created_at_ns}-{newest}", id.as_str());
         if let Some(picture) = self.pictures.kept(&tag) {
             return Ok(picture);
         }

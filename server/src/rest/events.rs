@@ -1,10 +1,11 @@
 //! What happens in a session, as server-sent events.
 
+use super::extract::AskedBy;
 use super::model::Session;
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::model::{Pose, Scale, State as TrackingState, Units};
-use crate::session::{MapChange, SessionEvent, SessionId};
+use crate::session::{MapChange, SessionEvent};
 use crate::watch::{Watched, watch};
 use axum::extract::{Path, State};
 use axum::response::sse::{Event, KeepAlive, Sse};
@@ -208,9 +209,10 @@ impl From<&MapChange> for MapEvent {
 ))]
 pub(super) async fn events(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
+    let id = caller.session(&id, "id")?;
     let watched = ReceiverStream::new(watch(app.service.clone(), id).await?);
     // An error ends the stream, which its reader notices.
     let events = watched.filter_map(|watched| event(watched.ok()?)).map(Ok);

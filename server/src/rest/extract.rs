@@ -1,5 +1,6 @@
 //! Parts of a request, with errors that name what is wrong.
 
+use crate::access::Caller;
 use crate::error::{ApiError, ErrorCode};
 use crate::page::PageRequest;
 use axum::Json;
@@ -10,6 +11,18 @@ use axum::http::{StatusCode, Uri};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use utoipa::IntoParams;
+
+/// Who asks, as the door found out.
+pub struct AskedBy(pub Caller);
+
+impl<S: Send + Sync> FromRequestParts<S> for AskedBy {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, ApiError> {
+        let caller = parts.extensions.get::<Caller>().cloned();
+        caller.map(Self).ok_or_else(|| ApiError::internal("a route is not behind the door"))
+    }
+}
 
 /// A JSON body.
 pub struct Body<T>(pub T);

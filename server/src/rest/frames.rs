@@ -1,9 +1,9 @@
 //! The last frames of a session that is watched: their images and what was measured in them.
 
+use super::extract::AskedBy;
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::maps::Observed;
-use crate::session::SessionId;
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
@@ -19,9 +19,10 @@ use axum::response::IntoResponse;
 ))]
 pub(super) async fn image(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path((id, sequence)): Path<(String, String)>,
 ) -> Result<impl IntoResponse, ApiError> {
-    let (id, sequence) = (SessionId::parse(&id, "id")?, parse_sequence(&sequence)?);
+    let (id, sequence) = (caller.session(&id, "id")?, parse_sequence(&sequence)?);
     let image = app.service.frame_image(&id, sequence).await?;
     let headers = [
         (CONTENT_TYPE, image.media_type),
@@ -40,9 +41,10 @@ pub(super) async fn image(
 ))]
 pub(super) async fn observed(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path((id, sequence)): Path<(String, String)>,
 ) -> Result<Json<Observed>, ApiError> {
-    let (id, sequence) = (SessionId::parse(&id, "id")?, parse_sequence(&sequence)?);
+    let (id, sequence) = (caller.session(&id, "id")?, parse_sequence(&sequence)?);
     Ok(Json(app.service.frame_observed(&id, sequence).await?))
 }
 

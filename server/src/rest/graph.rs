@@ -1,11 +1,10 @@
 //! What ties keyframes to one another, as one JSON object that is made while it is sent.
 
-use super::extract::Params;
+use super::extract::{AskedBy, Params};
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::maps::{Edge, GraphKind, GraphQuery, Node};
 use crate::model::Scale;
-use crate::session::SessionId;
 use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::header::CONTENT_TYPE;
@@ -53,10 +52,11 @@ pub(super) struct Wanted {
 ))]
 pub(super) async fn graph(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     Params(wanted): Params<Wanted>,
 ) -> Result<impl IntoResponse, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
+    let id = caller.session(&id, "id")?;
     let Wanted { kind, keyframe_id, min_weight } = wanted;
     let query = GraphQuery { kind, keyframe_id, min_weight };
     let graph = app.service.maps().graph(&id, &query).await?;

@@ -1,12 +1,11 @@
 //! Keyframes and their images.
 
-use super::extract::{NoConditions, PageParams, Paged};
+use super::extract::{AskedBy, NoConditions, PageParams, Paged};
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::ids::parse_id;
 use crate::maps::{Keyframe, Observed};
 use crate::model::Scale;
-use crate::session::SessionId;
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::header::{CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
@@ -34,10 +33,11 @@ pub(super) struct KeyframePage {
 ))]
 pub(super) async fn list(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     Paged(page, NoConditions {}): Paged<NoConditions>,
 ) -> Result<Json<KeyframePage>, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
+    let id = caller.session(&id, "id")?;
     let answer = app.service.maps().keyframes(&id, &page).await?;
     let (scale, page) = (answer.scale, answer.value);
     Ok(Json(KeyframePage { scale, keyframes: page.items, next_page_token: page.next_page_token }))
@@ -51,9 +51,10 @@ pub(super) async fn list(
 ))]
 pub(super) async fn get(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path((id, kf)): Path<(String, String)>,
 ) -> Result<Json<Keyframe>, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
+    let id = caller.session(&id, "id")?;
     Ok(Json(app.service.maps().keyframe(&id, parse_id("kf", &kf)?).await?))
 }
 
@@ -65,9 +66,10 @@ pub(super) async fn get(
 ))]
 pub(super) async fn observed(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path((id, kf)): Path<(String, String)>,
 ) -> Result<Json<Observed>, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
+    let id = caller.session(&id, "id")?;
     Ok(Json(app.service.maps().observed_keyframe(&id, parse_id("kf", &kf)?).await?))
 }
 
@@ -79,9 +81,10 @@ pub(super) async fn observed(
 ))]
 pub(super) async fn image(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path((id, kf)): Path<(String, String)>,
 ) -> Result<impl IntoResponse, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
+    let id = caller.session(&id, "id")?;
     let image = app.service.maps().keyframe_image(&id, parse_id("kf", &kf)?).await?;
     // The bytes are a client's: a browser must not take them for anything else.
     let headers = [(CONTENT_TYPE, image.media_type), (X_CONTENT_TYPE_OPTIONS, "nosniff".to_owned())];

@@ -1,13 +1,12 @@
 //! Lines, by place.
 
-use super::extract::{PageParams, Paged};
+use super::extract::{AskedBy, PageParams, Paged};
 use super::place::parse_place;
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::ids::checked_id;
 use crate::maps::{Line, LineQuery};
 use crate::model::Scale;
-use crate::session::SessionId;
 use axum::Json;
 use axum::extract::{Path, State};
 use serde::{Deserialize, Serialize};
@@ -66,10 +65,11 @@ impl Conditions {
 ))]
 pub(super) async fn list(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     Paged(page, conditions): Paged<Conditions>,
 ) -> Result<Json<LinePage>, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
+    let id = caller.session(&id, "id")?;
     let answer = app.service.maps().lines(&id, &conditions.query()?, &page).await?;
     let (scale, page) = (answer.scale, answer.value);
     Ok(Json(LinePage { scale, lines: page.items, next_page_token: page.next_page_token }))

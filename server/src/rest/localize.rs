@@ -1,9 +1,10 @@
 //! One image against a stored map.
 
+use super::extract::AskedBy;
 use super::{App, ProblemDetails};
 use crate::error::{ApiError, ErrorCode};
 use crate::model::{Pose, Scale, State as TrackingState, Units};
-use crate::session::{Encoding, Located, SentImage, SessionId};
+use crate::session::{Encoding, Located, SentImage};
 use axum::Json;
 use axum::extract::rejection::BytesRejection;
 use axum::extract::{Path, State};
@@ -75,11 +76,12 @@ impl From<Located> for Location {
 ))]
 pub(super) async fn localize(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<Location>, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
+    let id = caller.session(&id, "id")?;
     let media_type = headers.get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
     let encoding = match media_type {
         "image/png" => Encoding::Png,

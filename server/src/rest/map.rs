@@ -1,10 +1,9 @@
 //! The whole map as a file.
 
-use super::extract::Params;
+use super::extract::{AskedBy, Params};
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::maps::{ColmapPart, MapFormat};
-use crate::session::SessionId;
 use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_TYPE};
@@ -74,10 +73,11 @@ pub(super) struct Wanted {
 ))]
 pub(super) async fn map(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     Params(wanted): Params<Wanted>,
 ) -> Result<impl IntoResponse, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
+    let id = caller.session(&id, "id")?;
     let format = wanted.format()?;
     let file = app.service.maps().export(&id, format, wanted.submap_id.map(SubmapId)).await?;
     // Names of files are letters, digits, `-`, `_` and `.`: nothing to escape.

@@ -18,18 +18,25 @@ mod scene;
 mod sessions;
 mod stream;
 mod system;
+mod tickets;
 mod trajectory;
 
+use crate::access::{self, Door};
+use crate::connections::{self, Interface, Opening, Port};
 use crate::service::Service;
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
+use axum::http::header::{AUTHORIZATION, CONTENT_TYPE, ETAG, IF_NONE_MATCH, LOCATION, RETRY_AFTER};
+use axum::http::{HeaderValue, Method};
 use metrics_exporter_prometheus::PrometheusHandle;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
+use tower::util::option_layer;
 use tower_http::catch_panic::CatchPanicLayer;
-use utoipa::OpenApi;
+use tower_http::cors::{AllowOrigin, CorsLayer};
+use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
+use utoipa::{Modify, OpenApi};
 use utoipa_axum::router::{OpenApiRouter, UtoipaMethodRouterExt};
 use utoipa_axum::routes;
 
@@ -44,6 +51,9 @@ const MAX_BODY_BYTES: usize = 64 << 10;
 
 /// Observations are folded together this often, so that they do not pile up when nobody reads the metrics.
 const METRICS_FOLDED_EVERY: Duration = Duration::from_secs(5);
+
+/// Browsers need not ask again whether a foreign page may for this long.
+const CORS_REMEMBERED: Duration = Duration::from_secs(600);
 
 /// What the handlers share.
 #[derive(Clone)]
@@ -62,13 +72,24 @@ impl App {
 }
 
 #[derive(OpenApi)]
-#[openapi(info(
+#[openapi(modifiers(&BearerTokens), security((), ("token" = [])), info(
     title = "monoslam",
     description = "Sessions, trajectories and maps of a monocular SLAM service. Frames are streamed over gRPC. \
                    Poses are world_from_camera, quaternions x y z w; lengths are map units unless a session's \
                    scale says metric."
 ))]
 struct Document;
+
+/// Tokens are sent as RFC 6750 has it; a server without tokens needs none.
+struct BearerTokens;
+
+impl Modify for BearerTokens {
+    fn modify(&self, document: &mut utoipa::openapi::OpenApi) {
+        let scheme = SecurityScheme::Http(Http::new(HttpAuthScheme::Bearer));
+        let components = document.components.get_or_insert_with(Default::default);
+        components.add_security_scheme("token", scheme);
+    }
+}
 
 /// Every path of the interface with its document. An image may have `max_image_bytes`.
 fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
@@ -95,13 +116,20 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
         .routes(routes!(scene::scene))
         .routes(routes!(map::map))
         .routes(routes!(localize::localize).layer(DefaultBodyLimit::max(max_image_bytes)))
+        .routes(routes!(tickets::issue, tickets::forget))
         .routes(routes!(system::healthz))
         .routes(routes!(system::readyz))
         .routes(routes!(system::metrics))
 }
 
-/// The whole interface, without a socket.
+/// The whole interface, without a socket. Behind its door, requests that come over no connection are this
+/// process's own.
 pub fn router(app: App) -> Router {
+    let access = app.service.access().clone();
+    let origins = &access.config().cors_origins;
+    // Where no foreign page is let in, nothing is said about them.
+    let cors = option_layer((!origins.is_empty()).then(|| cors(origins)));
+    let door = Door { access, interface: Interface::Http };
     let max_image_bytes = app.service.config().limits.max_message_bytes;
     let (router, document) = api(max_image_bytes).split_for_parts();
     let document = Arc::new(document);
@@ -117,8 +145,21 @@ pub fn router(app: App) -> Router {
         .fallback(problem::not_found)
         .method_not_allowed_fallback(problem::method_not_allowed)
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
+        .layer(axum::middleware::from_fn_with_state(door, access::check))
+        .layer(cors)
         .layer(CatchPanicLayer::custom(panicked))
         .with_state(app)
+}
+
+/// Pages of these origins may use the interface, with tokens and without cookies.
+fn cors(origins: &[String]) -> CorsLayer {
+    let origins = origins.iter().filter_map(|origin| origin.parse::<HeaderValue>().ok());
+    CorsLayer::new()
+        .allow_origin(AllowOrigin::list(origins))
+        .allow_methods([Method::GET, Method::POST, Method::PATCH, Method::DELETE])
+        .allow_headers([AUTHORIZATION, CONTENT_TYPE, IF_NONE_MATCH])
+        .expose_headers([ETAG, LOCATION, RETRY_AFTER])
+        .max_age(CORS_REMEMBERED)
 }
 
 /// The OpenAPI document.
@@ -127,9 +168,11 @@ pub fn openapi() -> utoipa::openapi::OpenApi {
 }
 
 /// Serves HTTP until `closing`, then lets what is under way end.
-pub(crate) async fn serve(app: App, listener: TcpListener, closing: CancellationToken) -> anyhow::Result<()> {
+pub(crate) async fn serve(app: App, opening: Opening, closing: CancellationToken) -> anyhow::Result<()> {
     tokio::spawn(fold_metrics(app.metrics.clone(), closing.clone()));
-    axum::serve(listener, router(app)).with_graceful_shutdown(closing.cancelled_owned()).await?;
+    let Opening { listener, tls, table } = opening;
+    let port = Port { listener, interface: Interface::Http, tls, table, patient_paths: &[] };
+    connections::serve(port, router(app), closing).await;
     Ok(())
 }
 

@@ -1,10 +1,11 @@
 //! The JSON of sessions. Names are those of the gRPC contract.
 
+use crate::access::Caller;
 use crate::error::ApiError;
 use crate::model::{Camera, Scale, State};
 use crate::options::SessionOptions;
 use crate::service::NewSession;
-use crate::session::{SessionId, SessionView};
+use crate::session::SessionView;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -96,9 +97,9 @@ impl CreateSession {
     ///
     /// # Errors
     /// If the id is not one.
-    pub fn into_new_session(self) -> Result<NewSession, ApiError> {
+    pub fn into_new_session(self, caller: &Caller) -> Result<NewSession, ApiError> {
         let id = self.id.filter(|id| !id.is_empty());
-        let id = id.map(|id| SessionId::parse(&id, "id")).transpose()?;
+        let id = id.map(|id| caller.session(&id, "id")).transpose()?;
         Ok(NewSession { id, camera: self.camera.into(), options: self.options })
     }
 }

@@ -1,11 +1,10 @@
 //! Global primitives: the directions that keyframes share.
 
-use super::extract::{PageParams, Paged};
+use super::extract::{AskedBy, PageParams, Paged};
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::ids::parse_id;
 use crate::maps::{Primitive, PrimitiveDetail};
-use crate::session::SessionId;
 use axum::Json;
 use axum::extract::{Path, State};
 use serde::{Deserialize, Serialize};
@@ -39,10 +38,11 @@ pub(super) struct Conditions {
 ))]
 pub(super) async fn list(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     Paged(page, conditions): Paged<Conditions>,
 ) -> Result<Json<PrimitivePage>, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
+    let id = caller.session(&id, "id")?;
     let page = app.service.maps().primitives(&id, conditions.submap_id.map(SubmapId), &page).await?;
     Ok(Json(PrimitivePage { primitives: page.items, next_page_token: page.next_page_token }))
 }
@@ -55,8 +55,9 @@ pub(super) async fn list(
 ))]
 pub(super) async fn get(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path((id, p)): Path<(String, String)>,
 ) -> Result<Json<PrimitiveDetail>, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
+    let id = caller.session(&id, "id")?;
     Ok(Json(app.service.maps().primitive(&id, parse_id("p", &p)?).await?))
 }

@@ -1,7 +1,8 @@
 //! Errors as RFC 9457 `application/problem+json`.
 
 use crate::error::{ApiError, ErrorCode};
-use axum::http::header::CONTENT_TYPE;
+use axum::http::header::{CONTENT_TYPE, RETRY_AFTER, WWW_AUTHENTICATE};
+use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -38,7 +39,7 @@ pub struct Violation {
 
 impl From<ApiError> for ProblemDetails {
     fn from(error: ApiError) -> Self {
-        let ApiError { code, message, violations } = error;
+        let ApiError { code, message, violations, retry_after: _ } = error;
         Self {
             kind: format!("urn:monoslam:error:{}", code.name()),
             title: code.title(),
@@ -56,8 +57,17 @@ impl From<ApiError> for ProblemDetails {
 impl IntoResponse for ApiError {
     fn into_response(self) -> Response {
         let status = self.code.http();
+        let retry_after = self.retry_after;
         let body = serde_json::to_vec(&ProblemDetails::from(self)).unwrap_or_default();
-        (status, [(CONTENT_TYPE, "application/problem+json")], body).into_response()
+        let mut response = (status, [(CONTENT_TYPE, "application/problem+json")], body).into_response();
+        if let Some(wait) = retry_after {
+            response.headers_mut().insert(RETRY_AFTER, HeaderValue::from(wait.as_secs_f64().ceil() as u64));
+        }
+        if status == StatusCode::UNAUTHORIZED {
+            let scheme = HeaderValue::from_static("Bearer realm=\"monoslam\"");
+            response.headers_mut().insert(WWW_AUTHENTICATE, scheme);
+        }
+        response
     }
 }
 

@@ -1,10 +1,9 @@
 //! The map as a viewer draws it, part by part, and small pictures of sessions.
 
-use super::extract::Params;
+use super::extract::{AskedBy, Params};
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::maps::ScenePart;
-use crate::session::SessionId;
 use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG, IF_NONE_MATCH, X_CONTENT_TYPE_OPTIONS};
@@ -35,10 +34,11 @@ pub(super) struct Wanted {
 ))]
 pub(super) async fn scene(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     Params(wanted): Params<Wanted>,
 ) -> Result<impl IntoResponse, ApiError> {
-    let parts = app.service.scene(&SessionId::parse(&id, "id")?, wanted.since.as_deref()).await?;
+    let parts = app.service.scene(&caller.session(&id, "id")?, wanted.since.as_deref()).await?;
     let lines = parts.map(|part| {
         let mut line = serde_json::to_string(&part?).map_err(ApiError::internal)?;
         line.push('\n');
@@ -57,10 +57,11 @@ pub(super) async fn scene(
 ))]
 pub(super) async fn picture(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    let picture = app.service.maps().picture(&SessionId::parse(&id, "id")?).await?;
+    let picture = app.service.maps().picture(&caller.session(&id, "id")?).await?;
     let tag = format!("\"{}\"", picture.tag);
     let known = headers.get(IF_NONE_MATCH).is_some_and(|known| known.as_bytes() == tag.as_bytes());
     let headers = [

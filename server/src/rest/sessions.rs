@@ -1,10 +1,9 @@
 //! Sessions.
 
-use super::extract::{Body, NoConditions, PageParams, Paged};
+use super::extract::{AskedBy, Body, NoConditions, PageParams, Paged};
 use super::model::{CreateSession, Session, SessionPage, SetScale, UpdateSession};
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
-use crate::session::SessionId;
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::header::LOCATION;
@@ -17,9 +16,10 @@ use axum::http::{HeaderName, StatusCode};
 ))]
 pub(super) async fn list(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Paged(page, NoConditions {}): Paged<NoConditions>,
 ) -> Result<Json<SessionPage>, ApiError> {
-    let page = app.service.list_sessions(&page).await?;
+    let page = app.service.list_sessions(&caller, &page).await?;
     let sessions = page.items.into_iter().map(Session::from).collect();
     Ok(Json(SessionPage { sessions, next_page_token: page.next_page_token }))
 }
@@ -33,9 +33,10 @@ pub(super) async fn list(
 ))]
 pub(super) async fn create(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Body(request): Body<CreateSession>,
 ) -> Result<(StatusCode, [(HeaderName, String); 1], Json<Session>), ApiError> {
-    let view = app.service.create_session(request.into_new_session()?).await?;
+    let view = app.service.create_session(&caller, request.into_new_session(&caller)?).await?;
     let location = format!("/v1/sessions/{}", view.id);
     Ok((StatusCode::CREATED, [(LOCATION, location)], Json(view.into())))
 }
@@ -45,8 +46,12 @@ pub(super) async fn create(
     (status = 200, description = "The session", body = Session),
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
-pub(super) async fn get(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Session>, ApiError> {
-    Ok(Json(app.service.get_session(&SessionId::parse(&id, "id")?).await?.into()))
+pub(super) async fn get(
+    State(app): State<App>,
+    AskedBy(caller): AskedBy,
+    Path(id): Path<String>,
+) -> Result<Json<Session>, ApiError> {
+    Ok(Json(app.service.get_session(&caller.session(&id, "id")?).await?.into()))
 }
 
 /// Changes a session's options.
@@ -59,11 +64,12 @@ pub(super) async fn get(State(app): State<App>, Path(id): Path<String>) -> Resul
 ))]
 pub(super) async fn update(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     Body(request): Body<UpdateSession>,
 ) -> Result<Json<Session>, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
-    Ok(Json(app.service.update_session(&id, request.options).await?.into()))
+    let id = caller.session(&id, "id")?;
+    Ok(Json(app.service.update_session(&caller, &id, request.options).await?.into()))
 }
 
 /// Says how many metres a map unit is. Every length of later answers is in metres then.
@@ -75,11 +81,12 @@ pub(super) async fn update(
 ))]
 pub(super) async fn scale(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     Body(request): Body<SetScale>,
 ) -> Result<Json<Session>, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
-    Ok(Json(app.service.set_scale(&id, request.metres_per_unit).await?.into()))
+    let id = caller.session(&id, "id")?;
+    Ok(Json(app.service.set_scale(&caller, &id, request.metres_per_unit).await?.into()))
 }
 
 /// Adjusts the whole map. Not in this version.
@@ -88,8 +95,12 @@ pub(super) async fn scale(
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 501, description = "Not in this version", body = ProblemDetails, content_type = "application/problem+json")
 ))]
-pub(super) async fn optimize(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
-    app.service.optimize(&SessionId::parse(&id, "id")?).await?;
+pub(super) async fn optimize(
+    State(app): State<App>,
+    AskedBy(caller): AskedBy,
+    Path(id): Path<String>,
+) -> Result<StatusCode, ApiError> {
+    app.service.optimize(&caller.session(&id, "id")?).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
@@ -99,7 +110,11 @@ pub(super) async fn optimize(State(app): State<App>, Path(id): Path<String>) -> 
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 409, description = "A writer is connected", body = ProblemDetails, content_type = "application/problem+json")
 ))]
-pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
-    app.service.delete_session(&SessionId::parse(&id, "id")?).await?;
+pub(super) async fn delete(
+    State(app): State<App>,
+    AskedBy(caller): AskedBy,
+    Path(id): Path<String>,
+) -> Result<StatusCode, ApiError> {
+    app.service.delete_session(&caller, &caller.session(&id, "id")?).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -7,21 +7,19 @@
 //! the map saved, and the socket closed.
 
 use super::events::FrameEvent;
-use super::extract::Params;
+use super::extract::{AskedBy, Params};
 use super::model::Session;
 use super::{App, ProblemDetails};
+use crate::access::Caller;
 use crate::error::{ApiError, ErrorCode};
 use crate::model::Units;
 use crate::service::Service;
 use crate::session::{
     Encoding, FrameQueue, Mode, OpenRequest, Policy, Queued, Rejection, Reply, SentFrame, SentImage,
-    SessionId,
 };
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Path, State};
-use axum::http::HeaderMap;
-use axum::http::header::{HOST, ORIGIN};
 use axum::response::Response;
 use bytes::{Buf, Bytes};
 use futures_util::stream::{SplitSink, SplitStream};
@@ -129,13 +127,12 @@ pub(super) enum StreamMessage {
 ))]
 pub(super) async fn stream(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     Params(wanted): Params<Wanted>,
-    headers: HeaderMap,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
-    check_origin(&headers)?;
+    let id = caller.session(&id, "id")?;
     app.service.get_session(&id).await?;
     let upgrade = upgrade.map_err(|rejection| ApiError::invalid("upgrade", rejection.body_text()))?;
     let policy = match wanted.policy {
@@ -145,29 +142,13 @@ pub(super) async fn stream(
     let request = OpenRequest { id, mode: Mode::MapAndLocalize, policy, take_over: wanted.take_over };
     let max_bytes = app.service.config().limits.max_message_bytes;
     let upgrade = upgrade.max_message_size(max_bytes).max_frame_size(max_bytes);
-    Ok(upgrade.on_upgrade(move |socket| serve(app.service, socket, request)))
+    Ok(upgrade.on_upgrade(move |socket| serve(app.service, caller, socket, request)))
 }
 
-/// Browsers let a page open a WebSocket to any server, also one that only its visitor reaches, but say whose
-/// page it is.
-fn check_origin(headers: &HeaderMap) -> Result<(), ApiError> {
-    let text = |name| headers.get(name).and_then(|value: &axum::http::HeaderValue| value.to_str().ok());
-    let Some(origin) = headers.get(ORIGIN) else { return Ok(()) };
-    let is_ours = origin
-        .to_str()
-        .ok()
-        .and_then(|origin| origin.split_once("://"))
-        .is_some_and(|(_, authority)| text(HOST) == Some(authority));
-    if is_ours {
-        return Ok(());
-    }
-    Err(ApiError::invalid("origin", "only a page of this server may stream from a browser"))
-}
-
-async fn serve(service: Arc<Service>, socket: WebSocket, request: OpenRequest) {
+async fn serve(service: Arc<Service>, caller: Caller, socket: WebSocket, request: OpenRequest) {
     let (sink, mut source) = socket.split();
     let (replies, answers) = mpsc::channel(MAX_WAITING_ANSWERS);
-    let opened = service.open_stream(request, replies.clone()).await;
+    let opened = service.open_stream(&caller, request, replies.clone()).await;
     let writing = write_answers(sink, answers);
     tokio::pin!(writing);
     let queue = match opened {
@@ -183,7 +164,7 @@ async fn serve(service: Arc<Service>, socket: WebSocket, request: OpenRequest) {
     tokio::select! {
         // The session has ended the stream, or the client is gone.
         () = &mut writing => queue.close(Ok(())),
-        ending = read_frames(&mut source, &queue) => {
+        ending = read_frames(&caller, &mut source, &queue) => {
             queue.close(ending);
             writing.await;
         }
@@ -212,7 +193,11 @@ async fn write_answers(
 }
 
 /// Queues frames until the client says that there are no more, is gone, or breaks the rules.
-async fn read_frames(source: &mut SplitStream<WebSocket>, queue: &FrameQueue) -> Result<(), ApiError> {
+async fn read_frames(
+    caller: &Caller,
+    source: &mut SplitStream<WebSocket>,
+    queue: &FrameQueue,
+) -> Result<(), ApiError> {
     while let Ok(Some(message)) = tokio::time::timeout(PATIENCE, source.next()).await {
         let item = match message {
             Ok(Message::Binary(bytes)) => frame(bytes)?,
@@ -224,7 +209,7 @@ async fn read_frames(source: &mut SplitStream<WebSocket>, queue: &FrameQueue) ->
             Ok(Message::Close(_)) => return Ok(()),
             Err(error) => return Err(broken(&error)),
         };
-        if queue.push(item).await.is_err() {
+        if caller.push(queue, item).await.is_err() {
             break;
         }
     }
@@ -282,24 +267,6 @@ fn text_of(message: &StreamMessage) -> Message {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use axum::http::HeaderValue;
-
-    fn headers(origin: Option<&'static str>, host: &'static str) -> HeaderMap {
-        let mut headers = HeaderMap::from_iter([(HOST, HeaderValue::from_static(host))]);
-        headers.extend(origin.map(|origin| (ORIGIN, HeaderValue::from_static(origin))));
-        headers
-    }
-
-    #[test]
-    fn pages_of_other_servers_are_refused_and_programs_are_not() {
-        assert!(check_origin(&headers(None, "h:8080")).is_ok());
-        assert!(check_origin(&headers(Some("http://h:8080"), "h:8080")).is_ok());
-        assert!(check_origin(&headers(Some("https://h"), "h")).is_ok());
-        for origin in ["http://evil.example", "http://h", "null", "h:8080", "http://h:8080.evil.example"] {
-            let refused = check_origin(&headers(Some(origin), "h:8080"));
-            assert_eq!(refused.unwrap_err().violations[0].field, "origin", "{origin}");
-        }
-    }
 
     #[test]
     fn frames_have_a_head() {

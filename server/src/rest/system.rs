@@ -2,7 +2,6 @@
 
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
-use crate::page::PageRequest;
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
@@ -20,7 +19,7 @@ pub(super) async fn healthz() -> &'static str {
 ))]
 pub(super) async fn readyz(State(app): State<App>) -> Result<&'static str, ApiError> {
     app.service.registry().check_open()?;
-    app.service.list_sessions(&PageRequest::new(1, "")?).await?;
+    app.service.check_storage().await?;
     Ok("ready\n")
 }
 

@@ -1,11 +1,10 @@
 //! Trajectories in the formats of the trade, streamed.
 
-use super::extract::Params;
+use super::extract::{AskedBy, Params};
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::maps::{SubmapChoice, TrajectoryKind, TrajectoryPose, TrajectoryQuery};
 use crate::model::{Pose, Scale, State as TrackingState};
-use crate::session::SessionId;
 use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::header::CONTENT_TYPE;
@@ -75,10 +74,11 @@ pub(super) struct Wanted {
 ))]
 pub(super) async fn trajectory(
     State(app): State<App>,
+    AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     Params(wanted): Params<Wanted>,
 ) -> Result<impl IntoResponse, ApiError> {
-    let id = SessionId::parse(&id, "id")?;
+    let id = caller.session(&id, "id")?;
     let query = TrajectoryQuery {
         kind: match wanted.kind {
             Kind::Frames => TrajectoryKind::Frames,
@@ -91,7 +91,7 @@ pub(super) async fn trajectory(
     let answer = app.service.maps().trajectory(&id, &query).await?;
 
     let mut writer = TrajectoryWriter::new(wanted.format);
-    let head = writer.head(id.as_str(), answer.scale);
+    let head = writer.head(&id.to_string(), answer.scale);
     let tail = writer.tail();
     let body = answer
         .value

@@ -104,7 +104,7 @@ impl History {
         match self.store.frame(self.id.as_str(), sequence).await {
             Ok(frame) => frame,
             Err(error) => {
-                tracing::warn!(session.id = %self.id, "a stored frame cannot be read: {error}");
+                tracing::warn!(session.id = self.id.as_str(), "a stored frame cannot be read: {error}");
                 None
             }
         }

@@ -24,7 +24,7 @@ pub use decoder::decode_image;
 pub use events::{MapChange, SessionEvent};
 pub use frame::{Answer, Before, Encoding, Rejection, Reply, SentFrame, SentImage};
 pub use gallery::ShownFrame;
-pub use id::SessionId;
+pub use id::{OWNER_END, SessionId, is_name};
 pub use images::as_file;
 pub use journal::{Revision, SceneChanges, Since};
 pub use load::LoadContext;

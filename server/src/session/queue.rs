@@ -9,6 +9,7 @@ use super::frame::{Rejection, SentFrame};
 use crate::error::ApiError;
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 use tokio::sync::Notify;
 
 /// Markers of dropped and rejected frames that wait to be answered, at most. They are small, but a client
@@ -44,6 +45,7 @@ pub type Ending = Result<(), ApiError>;
 pub struct FrameQueue {
     policy: Policy,
     capacity: usize,
+    opened: Instant,
     state: Mutex<State>,
     filled: Condvar,
     /// Wakes the producer when there is room or the queue is closed.
@@ -55,6 +57,8 @@ struct State {
     items: VecDeque<Queued>,
     n_frames: usize,
     ending: Option<Ending>,
+    /// When something was put in or taken out last; `None` before the first frame.
+    last_use: Option<Instant>,
 }
 
 /// The queue takes nothing more.
@@ -64,7 +68,8 @@ pub struct Closed;
 impl FrameQueue {
     /// A queue for up to `capacity` frames.
     pub fn new(policy: Policy, capacity: usize) -> Self {
-        Self { policy, capacity, state: Mutex::default(), filled: Condvar::new(), changed: Notify::new() }
+        let (state, filled, changed) = (Mutex::default(), Condvar::new(), Notify::new());
+        Self { policy, capacity, opened: Instant::now(), state, filled, changed }
     }
 
     /// Adds to the queue, waiting for room where the policy says so.
@@ -103,6 +108,7 @@ impl FrameQueue {
             state.n_frames += 1;
         }
         state.items.extend(item.take());
+        state.last_use = Some(Instant::now());
         self.filled.notify_one();
         Some(Ok(()))
     }
@@ -115,6 +121,7 @@ impl FrameQueue {
                 if matches!(item, Queued::Frame(_)) {
                     state.n_frames -= 1;
                 }
+                state.last_use = Some(Instant::now());
                 self.changed.notify_waiters();
                 return Some(item);
             }
@@ -166,6 +173,20 @@ impl FrameQueue {
         self.lock().ending.clone()
     }
 
+    /// What happens to frames that come too fast.
+    pub fn policy(&self) -> Policy {
+        self.policy
+    }
+
+    /// For how long nothing has come and nothing waited.
+    pub fn idle_for(&self) -> Duration {
+        let state = self.lock();
+        if !state.items.is_empty() {
+            return Duration::ZERO;
+        }
+        state.last_use.unwrap_or(self.opened).elapsed()
+    }
+
     /// Frames that wait.
     pub fn n_frames(&self) -> usize {
         self.lock().n_frames
@@ -193,7 +214,6 @@ impl State {
 mod tests {
     use super::*;
     use crate::session::frame::{Encoding, SentImage};
-    use std::time::{Duration, Instant};
 
     fn frame(sequence: u64) -> Queued {
         let image = SentImage {

@@ -12,6 +12,7 @@ use super::{SessionId, writer};
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 use store::Store;
 use tokio::runtime::Handle;
 use tokio::sync::{broadcast, mpsc, oneshot, watch};
@@ -53,6 +54,8 @@ struct Loaded {
     ended: CancellationToken,
     writer: Mutex<Option<Writer>>,
     scale: watch::Sender<Option<f64>>,
+    /// A stream that is not used for this long may have to make way.
+    idle_stream: Duration,
 }
 
 /// The stream that is being served.
@@ -253,7 +256,7 @@ impl Registry {
             keep_images: self.config.sessions.keep_keyframe_images,
             idle_unload: self.config.sessions.idle_unload(),
         };
-        let (loaded, ends) = channels(stored.metres_per_unit, events);
+        let (loaded, ends) = channels(stored.metres_per_unit, events, self.config.sessions.idle_stream());
         let stay = Stay { _room: room, _ended: loaded.ended.clone().drop_guard() };
         spawn(Beginning { id: id.clone(), config, stored, persistence, saving, ends, stay }).await?;
         Ok(loaded)
@@ -261,7 +264,7 @@ impl Registry {
 }
 
 /// The ends of what ties the registry to a worker, and the worker's.
-fn channels(metres_per_unit: Option<f64>, events: Events) -> (Loaded, Ends) {
+fn channels(metres_per_unit: Option<f64>, events: Events, idle_stream: Duration) -> (Loaded, Ends) {
     // One stream may wait for the one before it to end; whoever brings another waits for the room.
     let (streams, streams_receiver) = mpsc::channel(1);
     let (live_sender, live) = watch::channel(Live::default());
@@ -274,7 +277,7 @@ fn channels(metres_per_unit: Option<f64>, events: Events) -> (Loaded, Ends) {
         scale: scale_receiver,
         events,
     };
-    (Loaded { streams, live, unload, ended, writer: Mutex::default(), scale }, ends)
+    (Loaded { streams, live, unload, ended, writer: Mutex::default(), scale, idle_stream }, ends)
 }
 
 /// What a session's thread begins with.
@@ -312,7 +315,7 @@ async fn spawn(beginning: Beginning) -> Result<(), ApiError> {
             }
         };
         let _ = ready_sender.send(Ok(()));
-        tracing::info!(session.id = %id, "session {id} is in memory");
+        tracing::info!(session.id = id.as_str(), "session {id} is in memory");
         let events = ends.events.clone();
         Worker::new(id, config, pipeline, persistence, ends, runtime.clone()).run();
         if let Err(error) = runtime.block_on(saving) {
@@ -347,11 +350,19 @@ impl Resident for Loaded {
 
     /// The frames that are queued are served before.
     fn end(&self) {
-        if let Some(writer) = self.writer() {
-            writer.queue.close(Err(shutting_down()));
-            writer.ending_soon.cancel();
-        }
-        self.unload.cancel();
+        self.end_with(shutting_down());
+    }
+
+    fn is_dormant(&self) -> bool {
+        self.writer().is_some_and(|writer| writer.queue.idle_for() > self.idle_stream)
+    }
+
+    fn give_way(&self) {
+        let sentence = format!(
+            "nothing came in this stream for {} s, and another session needed its place; open it again to go on",
+            self.idle_stream.as_secs_f64()
+        );
+        self.end_with(ApiError::new(ErrorCode::IdleStream, sentence));
     }
 
     fn has_ended(&self) -> bool {
@@ -364,6 +375,14 @@ impl Resident for Loaded {
 }
 
 impl Loaded {
+    fn end_with(&self, error: ApiError) {
+        if let Some(writer) = self.writer() {
+            writer.queue.close(Err(error));
+            writer.ending_soon.cancel();
+        }
+        self.unload.cancel();
+    }
+
     /// The stream that is being served, if there is one.
     fn writer(&self) -> Option<Writer> {
         lock(&self.writer).clone().filter(|writer| !writer.served.is_cancelled())

@@ -17,6 +17,14 @@ pub trait Resident {
     fn leave(&self);
     /// Ends the stream into it, if there is one, and asks it to leave memory.
     fn end(&self);
+    /// Whether the stream into it has not been used for so long that another session may have its place.
+    fn is_dormant(&self) -> bool {
+        false
+    }
+    /// As [`Self::end`], telling the client that its place was needed.
+    fn give_way(&self) {
+        self.end();
+    }
     /// Whether it has left memory.
     fn has_ended(&self) -> bool;
     /// Waits until it has. Its [`Room`] is free by then.
@@ -114,8 +122,9 @@ impl<K: Ord + Clone, R: Resident, T: Clone + Default> Slots<K, R, T> {
         }
     }
 
-    /// Room for one session more, taking one out of memory that nobody streams into where there is none. Its
-    /// place is held until it is gone, so that nobody begins a stream that would have to be waited for.
+    /// Room for one session more, taking one out of memory that nobody streams into where there is none, else
+    /// one whose stream is not used. Its place is held until it is gone, so that nobody begins a stream that
+    /// would have to be waited for.
     ///
     /// # Errors
     /// If there is no such session.
@@ -124,12 +133,19 @@ impl<K: Ord + Clone, R: Resident, T: Clone + Default> Slots<K, R, T> {
             if let Some(room) = self.free_room() {
                 return Ok(room);
             }
-            let Some((_held, idle)) = self.all().into_iter().find_map(hold_idle) else {
+            if let Some((_held, idle)) = self.all().into_iter().find_map(|slot| hold(slot, |r| !r.is_busy()))
+            {
+                idle.leave();
+                idle.ended().await;
+                continue;
+            }
+            let dormant = self.all().into_iter().find_map(|slot| hold(slot, R::is_dormant));
+            let Some((_held, dormant)) = dormant else {
                 // One may have left by itself since.
                 return self.free_room().ok_or(Full);
             };
-            idle.leave();
-            idle.ended().await;
+            dormant.give_way();
+            dormant.ended().await;
         }
     }
 
@@ -168,11 +184,13 @@ impl<K: Ord + Clone, R: Resident, T: Clone + Default> Slots<K, R, T> {
     }
 }
 
-/// A session that nobody streams into, with its place; `None` if it is in use or someone else holds the
-/// place.
-fn hold_idle<R: Resident, T>(slot: Arc<Slot<R, T>>) -> Option<(Held<R, T>, Arc<R>)> {
+/// A session of this kind, with its place; `None` if it is not, or someone else holds the place.
+fn hold<R: Resident, T>(
+    slot: Arc<Slot<R, T>>,
+    is_wanted: impl Fn(&R) -> bool,
+) -> Option<(Held<R, T>, Arc<R>)> {
     let opening = slot.opening.clone().try_lock_owned().ok()?;
-    let resident = slot.resident().filter(|resident| !resident.is_busy())?;
+    let resident = slot.resident().filter(|resident| is_wanted(resident))?;
     Some((Held { slot, _opening: opening }, resident))
 }
 

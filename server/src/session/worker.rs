@@ -149,16 +149,16 @@ impl Worker {
         }
         let outcome = catch_unwind(AssertUnwindSafe(|| self.flush()));
         if !matches!(outcome, Ok(Ok(()))) {
-            tracing::error!(session.id = %id, "session {id} ends without its last frames saved");
+            tracing::error!(session.id = id.as_str(), "session {id} ends without its last frames saved");
         }
         self.outbox.close();
-        tracing::info!(session.id = %id, "session {id} left memory");
+        tracing::info!(session.id = id.as_str(), "session {id} left memory");
     }
 
     /// Ends a session whose engine has panicked while it served a stream.
     fn fail(mut self, cause: &str, queue: &FrameQueue, replies: &Replies) {
         let id = &self.id;
-        tracing::error!(session.id = %id, cause, "session {id} failed and is closed: {cause}");
+        tracing::error!(session.id = id.as_str(), cause, "session {id} failed and is closed: {cause}");
         let sentence = "the session failed and was closed; open it again to go on from its last saved frame";
         let error = ApiError::new(ErrorCode::SessionFailed, sentence);
         queue.abort(Err(error.clone()));

@@ -133,17 +133,58 @@ impl Store {
         after: Option<&str>,
         page_size: u32,
     ) -> Result<Page<SessionRecord, String>, StoreError> {
+        self.list_sessions_of("", after, page_size).await
+    }
+
+    /// As [`Self::list_sessions`], of those whose names begin so.
+    pub async fn list_sessions_of(
+        &self,
+        prefix: &str,
+        after: Option<&str>,
+        page_size: u32,
+    ) -> Result<Page<SessionRecord, String>, StoreError> {
         let mut reader = self.reader().await?;
-        let rows = sqlx::query("SELECT * FROM sessions WHERE id > ? ORDER BY id LIMIT ?")
-            .bind(after.unwrap_or_default())
-            .bind(i64::from(page_size) + 1)
-            .fetch_all(&mut *reader)
-            .await?;
+        let rows =
+            sqlx::query("SELECT * FROM sessions WHERE id > ? AND id >= ? AND id < ? ORDER BY id LIMIT ?")
+                .bind(after.unwrap_or_default())
+                .bind(prefix)
+                .bind(beyond(prefix))
+                .bind(i64::from(page_size) + 1)
+                .fetch_all(&mut *reader)
+                .await?;
         let sessions = rows
             .iter()
             .map(|row| parse_session(row).map(|(_, record)| record))
             .collect::<Result<Vec<_>, _>>()?;
         Ok(Page::of(sessions, page_size, |last: &SessionRecord| last.id.clone()))
+    }
+
+    /// How many sessions there are whose names begin so.
+    pub async fn count_sessions_of(&self, prefix: &str) -> Result<u64, StoreError> {
+        let mut reader = self.reader().await?;
+        let n_sessions: i64 = sqlx::query_scalar("SELECT count(*) FROM sessions WHERE id >= ? AND id < ?")
+            .bind(prefix)
+            .bind(beyond(prefix))
+            .fetch_one(&mut *reader)
+            .await?;
+        from_column("the number of sessions", n_sessions)
+    }
+
+    /// Bytes of the images and features of keyframes in sessions whose names begin so: most of what they take
+    /// in the file. Only the rows' heads are read.
+    pub async fn stored_bytes_of(&self, prefix: &str) -> Result<u64, StoreError> {
+        let mut reader = self.reader().await?;
+        let n_bytes: i64 = sqlx::query_scalar(
+            "SELECT coalesce(sum(
+                 (SELECT coalesce(sum(length(features)), 0) FROM keyframe_features WHERE session = number) +
+                 (SELECT coalesce(sum(length(bytes)), 0) FROM keyframe_images WHERE session = number)), 0)
+             FROM sessions WHERE id >= ? AND id < ?",
+        )
+        .bind(prefix)
+        .bind(beyond(prefix))
+        .fetch_one(&mut *reader)
+        .await?;
+        from_column("the size of sessions", n_bytes)
     }
 
     /// Changes a session's options or scale.
@@ -198,6 +239,11 @@ impl SessionRecord {
         let camera = self.checked_camera().ok().filter(|_| !self.correction.is_none())?;
         Some(camera.with_correction(self.correction).corrected_parameters())
     }
+}
+
+/// What stands behind every name that begins so.
+fn beyond(prefix: &str) -> String {
+    format!("{prefix}{}", char::MAX)
 }
 
 /// The number of a session.

@@ -9,6 +9,7 @@ mod queries;
 mod save_load;
 mod schema;
 mod sessions;
+mod tokens;
 mod trajectory;
 mod viewing;
 

@@ -3,6 +3,7 @@
 import '../style.css';
 import './capture.css';
 import { formatAddress, openSession } from '../address';
+import { admit, takeTokenFromAddress } from '../data/access';
 import { request } from '../data/api';
 import { h } from '../dom';
 import { setUpTheme } from '../theme';
@@ -113,4 +114,5 @@ function showEnd(id: string, recording: Recording, error: string | null): void {
 }
 
 setUpTheme(document.getElementById('theme') as HTMLButtonElement);
-showStart(null);
+takeTokenFromAddress();
+void admit().then(() => showStart(null));

@@ -1,5 +1,6 @@
 /** Sends frames over a WebSocket and goes on after broken connections. */
 
+import { renewTicket } from '../data/access';
 import { sessionPath, type Session, type State } from '../data/api';
 import { Ledger, type Shot } from './ledger';
 
@@ -150,7 +151,7 @@ export class FrameStream {
     this.listener.onConnected(false);
     const wait = Math.min(FIRST_BACKOFF_MS * 2 ** this.#failures, MAX_BACKOFF_MS);
     this.#failures += 1;
-    window.setTimeout(() => !this.#hasEnded && this.#connect(), wait);
+    window.setTimeout(() => void renewTicket().then(() => !this.#hasEnded && this.#connect()), wait);
   }
 
   #end(error: string | null): void {

@@ -1,5 +1,6 @@
 /** The server's HTTP interface, as far as the page needs it. */
 
+import { admit, authorization } from './access';
 import { answerFrom, embedded } from './embedded';
 
 export type State = 'initialising' | 'tracked' | 'weak' | 'lost';
@@ -64,14 +65,22 @@ export class ServerAway extends Error {
   }
 }
 
-/** Sends a request; an answer that is an error is thrown as {@link ApiProblem}. */
-export async function request(path: string, init: RequestInit = {}): Promise<Response> {
-  let response: Response;
+async function answer(path: string, init: RequestInit): Promise<Response> {
   try {
-    response = embedded ? answerFrom(embedded, path) : await fetch(path, init);
+    if (embedded) return answerFrom(embedded, path);
+    return await fetch(path, { ...init, headers: { ...(init.headers as Record<string, string> | undefined), ...authorization() } });
   } catch (error) {
     if (error instanceof DOMException && error.name === 'AbortError') throw error;
     throw new ServerAway();
+  }
+}
+
+/** Sends a request; an answer that is an error is thrown as {@link ApiProblem}. */
+export async function request(path: string, init: RequestInit = {}): Promise<Response> {
+  let response = await answer(path, init);
+  if (response.status === 401 && !embedded) {
+    await admit();
+    response = await answer(path, init);
   }
   if (!response.ok) {
     const problem: unknown = await response.json().catch(() => null);

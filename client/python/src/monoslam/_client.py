@@ -10,7 +10,7 @@ from typing import Any
 
 import grpc
 
-from . import _convert, _http, _wire, arrays
+from . import _access, _convert, _http, _wire, arrays
 from ._ledger import MAX_HELD_BYTES, WINDOW
 from ._stream import FrameStream
 from .errors import FrameError, MonoslamError, from_rpc_error
@@ -18,18 +18,26 @@ from .images import ImageLike
 from .model import Answer, Camera, Event, Localization, Session, SessionOptions
 from .sources import Frame
 from .v1 import slam_pb2 as pb
-from .v1.slam_pb2_grpc import SlamServiceStub
 
 
 class Client:
     """A connection to a server, made with the first call. May be used from several threads; a context
     manager."""
 
-    def __init__(self, server: str = _wire.DEFAULT_SERVER) -> None:
-        """Raises AddressError if `server` is not `http://HOST:PORT`."""
-        self.server = _wire.Address.parse(server)
-        self._channel = grpc.insecure_channel(self.server.target, options=_wire.CHANNEL_OPTIONS)
-        self._stub: Any = SlamServiceStub(self._channel)  # type: ignore[no-untyped-call, unused-ignore]
+    def __init__(
+        self,
+        server: str = _wire.DEFAULT_SERVER,
+        *,
+        token: str | None = None,
+        ca: str | PathLike[str] | None = None,
+    ) -> None:
+        """`token` is what `monoslam-server token create` printed, by default that of MONOSLAM_TOKEN; `ca` a file
+        of certificates, PEM, that the server's must be or be vouched for by, by default that of MONOSLAM_CA or
+        the system's. Raises AddressError if `server` is not `http://HOST:PORT` or `https://HOST:PORT`."""
+        self._access = _access.Access.of(server, token, ca)
+        self.server = self._access.server
+        self._channel = self._access.channel(grpc)
+        self._stub: Any = _access.Calls(self._channel, self._access)
 
     def close(self) -> None:
         """Ends the connection."""
@@ -209,7 +217,7 @@ class Client:
     def keyframe_image(self, session_id: str, keyframe_id: int) -> bytes:
         """A keyframe's image as it was sent, PNG or JPEG (raw pixels come as PNG). Asked of the HTTP
         interface."""
-        return _http.keyframe_image(self.http_address(), session_id, keyframe_id)
+        return _http.keyframe_image(self.http_address(), self._access, session_id, keyframe_id)
 
     def export(
         self,

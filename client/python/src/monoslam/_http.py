@@ -7,20 +7,23 @@ import urllib.error
 import urllib.request
 from urllib.parse import quote
 
+from ._access import Access
 from .errors import MonoslamError, NotFoundError, RefusedError, UnreachableError
 
 _TIMEOUT_S = 60.0
 
 
-def keyframe_image(http: str, session_id: str, keyframe_id: int) -> bytes:
+def keyframe_image(http: str, access: Access, session_id: str, keyframe_id: int) -> bytes:
     """The image of a keyframe as it was sent."""
-    return get(f"{http}/v1/sessions/{quote(session_id, safe='')}/keyframes/{int(keyframe_id)}/image")
+    path = f"/v1/sessions/{quote(session_id, safe='')}/keyframes/{int(keyframe_id)}/image"
+    return get(f"{http}{path}", access)
 
 
-def get(url: str) -> bytes:
+def get(url: str, access: Access) -> bytes:
     """The body of a successful answer."""
     try:
-        with urllib.request.urlopen(url, timeout=_TIMEOUT_S) as response:
+        request = urllib.request.Request(url, headers=access.headers)
+        with urllib.request.urlopen(request, timeout=_TIMEOUT_S, context=access.ssl_context()) as response:
             body: bytes = response.read()
             return body
     except urllib.error.HTTPError as error:

@@ -72,20 +72,19 @@ class Address:
 
     host: str
     port: int
+    scheme: str = "http"
 
     @staticmethod
     def parse(text: str) -> Address:
-        """Of `http://HOST:PORT` or `HOST:PORT`."""
+        """Of `http://HOST:PORT`, `https://HOST:PORT` or `HOST:PORT`."""
         try:
             parts = urlsplit(text if "://" in text else f"http://{text}")
             host, port = parts.hostname, parts.port
         except ValueError:
             host, port, parts = None, None, urlsplit("")
-        if parts.scheme == "https":
-            raise AddressError(f"`{text}` cannot be used: only http is supported")
-        if parts.scheme != "http" or not host or not port or parts.path not in ("", "/"):
-            raise AddressError(f"`{text}` is not the address of a server: http://HOST:PORT expected")
-        return Address(host, port)
+        if parts.scheme not in ("http", "https") or not host or not port or parts.path not in ("", "/"):
+            raise AddressError(f"`{text}` is not the address of a server: http[s]://HOST:PORT expected")
+        return Address(host, port, parts.scheme)
 
     @property
     def target(self) -> str:
@@ -94,7 +93,7 @@ class Address:
 
     def http(self, port: int) -> str:
         """The HTTP interface on the same host."""
-        return f"http://{self._bracketed}:{port}"
+        return f"{self.scheme}://{self._bracketed}:{port}"
 
     @property
     def _bracketed(self) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 import grpc
 import grpc.aio
 
-from . import _convert, _http, _wire, arrays
+from . import _access, _convert, _http, _wire, arrays
 from ._async_stream import AsyncFrameStream
 from ._ledger import MAX_HELD_BYTES, WINDOW
 from .errors import FrameError, MonoslamError, from_rpc_error
@@ -24,7 +24,6 @@ from .images import ImageLike
 from .model import Answer, Camera, Event, Localization, Session, SessionOptions
 from .sources import Frame
 from .v1 import slam_pb2 as pb
-from .v1.slam_pb2_grpc import SlamServiceStub
 
 __all__ = ["AsyncClient", "AsyncFrameStream"]
 
@@ -34,11 +33,20 @@ _END = object()
 class AsyncClient:
     """As `Client`, each call a coroutine. Make it inside a running event loop."""
 
-    def __init__(self, server: str = _wire.DEFAULT_SERVER) -> None:
-        """Raises AddressError if `server` is not `http://HOST:PORT`."""
-        self.server = _wire.Address.parse(server)
-        self._channel = grpc.aio.insecure_channel(self.server.target, options=_wire.CHANNEL_OPTIONS)
-        self._stub: Any = SlamServiceStub(self._channel)  # type: ignore[no-untyped-call, unused-ignore]
+    def __init__(
+        self,
+        server: str = _wire.DEFAULT_SERVER,
+        *,
+        token: str | None = None,
+        ca: str | PathLike[str] | None = None,
+    ) -> None:
+        """`token` is what `monoslam-server token create` printed, by default that of MONOSLAM_TOKEN; `ca` a file
+        of certificates, PEM, that the server's must be or be vouched for by, by default that of MONOSLAM_CA or
+        the system's. Raises AddressError if `server` is not `http://HOST:PORT` or `https://HOST:PORT`."""
+        self._access = _access.Access.of(server, token, ca)
+        self.server = self._access.server
+        self._channel = self._access.channel(grpc.aio)
+        self._stub: Any = _access.Calls(self._channel, self._access)
 
     async def close(self) -> None:
         """Ends the connection."""
@@ -209,7 +217,7 @@ class AsyncClient:
     async def keyframe_image(self, session_id: str, keyframe_id: int) -> bytes:
         """See `Client.keyframe_image`."""
         http = await self.http_address()
-        return await asyncio.to_thread(_http.keyframe_image, http, session_id, keyframe_id)
+        return await asyncio.to_thread(_http.keyframe_image, http, self._access, session_id, keyframe_id)
 
     async def export(
         self,

@@ -9,8 +9,7 @@ use slam::map::PrimitiveId;
 use std::collections::BTreeMap;
 
 pub(super) async fn write(export: &mut Export) -> Result<(), ApiError> {
-    let record = export.snapshot.record();
-    let id = serde_json::to_string(&record.id).map_err(ApiError::internal)?;
+    let id = serde_json::to_string(&export.session.id.to_string()).map_err(ApiError::internal)?;
     let camera = serde_json::to_string(&Camera::from(export.camera())).map_err(ApiError::internal)?;
     let scale = serde_json::to_string(&export.units.scale()).map_err(ApiError::internal)?;
     let head = format!("{{\"session_id\":{id},\"scale\":{scale},\"camera\":{camera},\"keyframes\":[");

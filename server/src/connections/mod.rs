@@ -1,0 +1,18 @@
+//! Connections of both ports: how many there may be, how long each may stand still, and encryption.
+//!
+//! A connection that does nothing must not cost a stream its place. Each is noted in a [`Table`] with what it
+//! is doing; a janitor closes those that exceed a time limit, and where there are too many, the one that has
+//! been idle longest makes way for a new one.
+
+mod body;
+mod files;
+mod io;
+mod refusal;
+mod serve;
+mod table;
+mod tls;
+
+pub use files::raise_file_limit;
+pub use serve::{Interface, Opening, Peer, Port, serve};
+pub use table::{Table, client_network};
+pub use tls::Certificates;
