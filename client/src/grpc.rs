@@ -54,10 +54,8 @@ impl SlamClient {
             .http2_keep_alive_interval(KEEPALIVE)
             .keep_alive_timeout(KEEPALIVE)
             .tcp_nodelay(true);
-        let channel = endpoint.connect().await.map_err(|error| ClientError::Unreachable {
-            server: server.to_owned(),
-            reason: causes(&error),
-        })?;
+        let connected = endpoint.connect().await;
+        let channel = connected.map_err(|error| ClientError::unreachable(server, causes(&error)))?;
         Ok(Self { server: uri, grpc: SlamServiceClient::new(channel) })
     }
 

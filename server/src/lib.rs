@@ -37,7 +37,7 @@ pub use model::{Camera, Model, Pose, Scale, State, Units};
 pub use options::SessionOptions;
 pub use page::{DEFAULT_PAGE_SIZE, MAX_PAGE_SIZE, Page, PageRequest};
 pub use rest::viewer_file;
-pub use server::{DATABASE_FILE, Running, Server, Shutdown, open_store};
+pub use server::{DATABASE_FILE, Running, Server, Shutdown, compact, open_store, open_store_to_read};
 pub use service::{NewSession, Service};
 pub use session::SessionView;
 pub use shutdown::requested as shutdown_requested;

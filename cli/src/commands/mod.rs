@@ -4,6 +4,7 @@ mod bench;
 mod demo;
 mod evaluate;
 mod export;
+mod flags;
 mod local;
 mod output;
 mod picture;
@@ -13,6 +14,8 @@ mod sessions;
 mod stream;
 mod summary;
 mod trajectory;
+
+pub use flags::in_flags;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
@@ -76,11 +79,10 @@ impl ServerArgs {
     }
 
     async fn http(&self) -> Result<HttpClient> {
-        let address = match &self.http {
-            Some(address) => address.clone(),
-            None => self.connect().await?.http_address().await?,
-        };
-        Ok(HttpClient::new(address))
+        Ok(match &self.http {
+            Some(address) => HttpClient::new(address.clone()),
+            None => HttpClient::told(self.connect().await?.http_address().await?),
+        })
     }
 }
 
