@@ -261,7 +261,7 @@ fn decode_raw(
         let rows = data.chunks(stride as usize).take(height as usize);
         let rows = rows.flat_map(|row| row[..row_bytes as usize].as_chunks::<2>().0);
         let samples: Vec<u16> = rows.map(|bytes| u16::from_le_bytes(*bytes)).collect();
-        depth.to_gray(&samples, 1, out.as_raw_mut());
+        depth.gray_of(&samples, 1, out.as_raw_mut());
         return Ok(out);
     }
     for (y, row) in data.chunks(stride as usize).take(height as usize).enumerate() {

@@ -43,7 +43,7 @@ impl SampleDepth {
     }
 
     /// Gray of 16-bit samples, `channels` a pixel: gray, gray with alpha, color, color with alpha.
-    pub(super) fn to_gray(&mut self, samples: &[u16], channels: usize, out: &mut [u8]) {
+    pub(super) fn gray_of(&mut self, samples: &[u16], channels: usize, out: &mut [u8]) {
         let n_colors = if channels >= 3 { 3 } else { 1 };
         let pixels = || samples.chunks_exact(channels.max(1));
         self.note(pixels().flat_map(|pixel| pixel[..n_colors].iter().copied()));
@@ -69,7 +69,7 @@ mod tests {
         let mut depth = SampleDepth::default();
         let mut gray = |samples: &[u16]| {
             let mut out = vec![0; samples.len()];
-            depth.to_gray(samples, 1, &mut out);
+            depth.gray_of(samples, 1, &mut out);
             out
         };
         assert_eq!(gray(&[0, 255]), [0, 255]);
@@ -82,9 +82,9 @@ mod tests {
     fn alpha_tells_nothing_of_the_range() {
         let mut depth = SampleDepth::default();
         let mut out = [0; 2];
-        depth.to_gray(&[1023, 65535, 0, 65535], 2, &mut out);
+        depth.gray_of(&[1023, 65535, 0, 65535], 2, &mut out);
         assert_eq!((depth.bits(), out), (10, [255, 0]));
-        depth.to_gray(&[1023, 1023, 1023, 65535, 0, 0, 0, 65535], 4, &mut out);
+        depth.gray_of(&[1023, 1023, 1023, 65535, 0, 0, 0, 65535], 4, &mut out);
         assert_eq!((depth.bits(), out), (10, [255, 0]));
     }
 

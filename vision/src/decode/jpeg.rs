@@ -6,8 +6,6 @@
 
 mod structure;
 
-use std::borrow::Cow;
-
 use structure::{End, Frame, PROGRESSIVE, Structure};
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
@@ -29,48 +27,65 @@ const MOTION_JPEG: [u8; 18] = *b"\xFF\xE0\0\x10AVI1\0\0\0\0\0\0\0\0\0\0";
 /// Adobe's segment that says that the components are no differences of colors.
 const NO_TRANSFORM: [u8; 16] = *b"\xFF\xEE\0\x0EAdobe\0\x64\0\0\0\0\0";
 
-/// What stands behind a file that ends early, to see whether it is read: not what a decoder reads where there
-/// is nothing.
-const FILLER: [u8; 64] = [0xA5; 64];
+/// What stands between the last scan and the end when a file is decoded: a code of ones alone, which no table has
+/// [ITU T.81, annex C]. Where everything is there it is not read, and where something is missing it is an error;
+/// the decoder itself goes on with zeros for ever.
+const NO_CODE: [u8; 64] = {
+    let mut bytes = [0; 64];
+    let mut i = 0;
+    while i < bytes.len() {
+        // A zero behind each keeps it from being a marker.
+        bytes[i] = 0xFF;
+        i += 2;
+    }
+    bytes
+};
 
 pub(super) fn decode(data: &[u8], limits: &DecodeLimits) -> Result<GrayImage, DecodeError> {
     if FileFormat::of(data) != Some(FileFormat::Jpeg) {
         return Err(DecodeError::WrongFormat { format: FORMAT });
     }
-    let structure = Structure::of(data);
-    let Some(frame) = &structure.frame else { return Err(TRUNCATED) };
+    let head = Structure::head_of(data);
+    let Some(frame) = &head.frame else { return Err(TRUNCATED) };
     limits.check_size(u32::from(frame.width), u32::from(frame.height))?;
     refuse_other_kinds(frame)?;
+    let colors = Colors::of(frame, head.adobe_transform);
+    // Nearly all files: one scan, and the marker of the end at the end.
+    if frame.kind != PROGRESSIVE
+        && head.is_in_one_scan
+        && let Some(end_at) = data.windows(2).rposition(|marker| marker == END_OF_IMAGE)
+        && let Ok(image) = pixels(&ended(data, end_at, &head, colors), colors, limits)
+    {
+        return Ok(image);
+    }
+    decode_with_care(data, colors, limits)
+}
+
+/// Decodes a file of which something may be missing, or finds out what is wrong with it.
+fn decode_with_care(data: &[u8], colors: Colors, limits: &DecodeLimits) -> Result<GrayImage, DecodeError> {
+    let structure = Structure::of(data);
     if structure.end == End::CutOff || !structure.has_every_scan() {
         return Err(TRUNCATED);
     }
-    let colors = Colors::of(frame, structure.adobe_transform);
-    let whole = with_what_is_missing(data, &structure, &colors);
-    let end_at = structure.end_at + whole.len() - data.len();
-    // The file ended behind its scans, after something that is no image.
-    let ended = |filler: &[u8]| {
-        let scans = &whole[..end_at];
-        let n_kept = scans.len() - scans.iter().rev().take_while(|byte| **byte == 0xFF).count();
-        pixels(&[&scans[..n_kept], filler, &END_OF_IMAGE].concat(), colors, limits)
+    let error = match pixels(&ended(data, structure.end_at, &structure, colors), colors, limits) {
+        Ok(image) => return Ok(image),
+        Err(error) => error,
     };
-    let image = if structure.end == End::Marked { pixels(&whole, colors, limits)? } else { ended(&[])? };
-    // What is missing is as plain as what is plain, so that only the former is looked at twice; a progressive
-    // file lacks details instead. Where everything is there, nothing is read behind its end, whatever stands
-    // there.
-    let is_doubtful = structure.end != End::Marked || frame.kind == PROGRESSIVE || has_plain_end(&image);
-    if is_doubtful && ended(&FILLER).as_ref() != Ok(&image) {
-        return Err(TRUNCATED);
-    }
-    Ok(image)
+    // An end may have been put on what was cut off.
+    let is_cut_off = structure.end != End::Marked || pixels(data, colors, limits).is_ok();
+    Err(if is_cut_off { TRUNCATED } else { error })
 }
 
-/// Whether the last block is of one gray, as it is where nothing was read.
-fn has_plain_end(image: &GrayImage) -> bool {
-    const BLOCK: u32 = 8;
-    let (left, top) = ((image.width() - 1) / BLOCK * BLOCK, (image.height() - 1) / BLOCK * BLOCK);
-    let mut pixels = (top..image.height()).flat_map(|y| &image.row(y)[left as usize..]);
-    let first = pixels.next();
-    pixels.all(|gray| Some(gray) == first)
+/// The file up to its end, with the segments that the decoder misses right behind the marker of its beginning,
+/// and no code before that of its end.
+fn ended(data: &[u8], end_at: usize, structure: &Structure, colors: Colors) -> Vec<u8> {
+    let tables: &[u8] = if structure.has_huffman_tables { &[] } else { &MOTION_JPEG };
+    let is_unsaid = colors == Colors::Rgb && structure.adobe_transform.is_none();
+    let adobe: &[u8] = if is_unsaid { &NO_TRANSFORM } else { &[] };
+    let (begin, rest) = data[..end_at].split_at(2);
+    // Half of a marker, or fill bytes before one.
+    let n_kept = rest.len() - rest.iter().rev().take_while(|byte| **byte == 0xFF).count();
+    [begin, tables, adobe, &rest[..n_kept], &NO_CODE, &END_OF_IMAGE].concat()
 }
 
 const TRUNCATED: DecodeError = DecodeError::Truncated { format: FORMAT };
@@ -110,18 +125,6 @@ fn refuse_other_kinds(frame: &Frame) -> Result<(), DecodeError> {
         0xC0 | 0xC1 | PROGRESSIVE if frame.components.is_empty() => refused("a frame without components"),
         _ => Ok(()),
     }
-}
-
-/// The file with the segments that the decoder misses, right behind the marker of its beginning.
-fn with_what_is_missing<'a>(data: &'a [u8], structure: &Structure, colors: &Colors) -> Cow<'a, [u8]> {
-    let tables: &[u8] = if structure.has_huffman_tables { &[] } else { &MOTION_JPEG };
-    let is_unsaid = *colors == Colors::Rgb && structure.adobe_transform.is_none();
-    let adobe: &[u8] = if is_unsaid { &NO_TRANSFORM } else { &[] };
-    if tables.is_empty() && adobe.is_empty() {
-        return Cow::Borrowed(data);
-    }
-    let (begin, rest) = data.split_at(2);
-    Cow::Owned([begin, tables, adobe, rest].concat())
 }
 
 fn pixels(data: &[u8], colors: Colors, limits: &DecodeLimits) -> Result<GrayImage, DecodeError> {

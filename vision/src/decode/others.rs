@@ -69,10 +69,10 @@ fn to_gray(
         DynamicImage::ImageLumaA8(pixels) => convert::<2>(pixels, gray, |&[v, _]| v),
         DynamicImage::ImageRgb8(pixels) => convert::<3>(pixels, gray, |&[r, g, b]| luma(r, g, b)),
         DynamicImage::ImageRgba8(pixels) => convert::<4>(pixels, gray, |&[r, g, b, _]| luma(r, g, b)),
-        DynamicImage::ImageLuma16(samples) => depth.to_gray(samples, 1, gray),
-        DynamicImage::ImageLumaA16(samples) => depth.to_gray(samples, 2, gray),
-        DynamicImage::ImageRgb16(samples) => depth.to_gray(samples, 3, gray),
-        DynamicImage::ImageRgba16(samples) => depth.to_gray(samples, 4, gray),
+        DynamicImage::ImageLuma16(samples) => depth.gray_of(samples, 1, gray),
+        DynamicImage::ImageLumaA16(samples) => depth.gray_of(samples, 2, gray),
+        DynamicImage::ImageRgb16(samples) => depth.gray_of(samples, 3, gray),
+        DynamicImage::ImageRgba16(samples) => depth.gray_of(samples, 4, gray),
         other => {
             let reason = format!("pixels of {:?} are not read", other.color());
             return Err(DecodeError::Malformed { format: format.name(), reason });

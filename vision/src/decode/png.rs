@@ -45,7 +45,7 @@ pub(super) fn decode(
             // Samples are big-endian.
             let samples: Vec<u16> =
                 pixels.as_chunks::<2>().0.iter().map(|bytes| u16::from_be_bytes(*bytes)).collect();
-            depth.to_gray(&samples, color.samples(), gray);
+            depth.gray_of(&samples, color.samples(), gray);
         }
         (color, bits) => {
             let reason = format!("color type {color:?} of depth {bits:?} is not supported");

@@ -14,6 +14,8 @@ pub(super) struct Structure {
     pub adobe_transform: Option<u8>,
     /// Whether a scan begins.
     pub has_scan: bool,
+    /// Whether the first scan has all components.
+    pub is_in_one_scan: bool,
     /// For each component of a progressive file, which bit of each coefficient is the last that came.
     precision: Vec<[u8; N_COEFFICIENTS]>,
     /// How it ends.
@@ -67,8 +69,17 @@ const TEM: u8 = 0x01;
 pub(super) const PROGRESSIVE: u8 = 0xC2;
 
 impl Structure {
-    /// Reads the markers of a file that begins with the marker of an image.
+    /// Reads the markers of a file that begins with the marker of an image, up to its first scan.
+    pub fn head_of(data: &[u8]) -> Self {
+        Self::read(data, true)
+    }
+
+    /// Reads all markers of a file that begins with the marker of an image.
     pub fn of(data: &[u8]) -> Self {
+        Self::read(data, false)
+    }
+
+    fn read(data: &[u8], stops_at_scan: bool) -> Self {
         let mut structure = Self { end_at: data.len(), ..Self::default() };
         let mut at = 2;
         while let Some(marker) = next_marker(data, &mut at) {
@@ -90,6 +101,9 @@ impl Structure {
             let Some(segment) = segment(data, &mut at) else { return structure };
             structure.note(marker, segment);
             if marker == SOS {
+                if stops_at_scan {
+                    return structure;
+                }
                 structure.has_scan = true;
                 structure.end = End::NoMarker;
                 at = end_of_scan(data, at);
@@ -121,6 +135,7 @@ impl Structure {
     fn note_scan(&mut self, segment: &[u8]) {
         let Some(frame) = &self.frame else { return };
         let Some((n, rest)) = segment.split_first() else { return };
+        self.is_in_one_scan |= usize::from(*n) == frame.components.len();
         let n_bytes = 2 * usize::from(*n);
         let (Some(names), Some([first, last, bits])) =
             (rest.get(..n_bytes), rest.get(n_bytes..).and_then(|tail| tail.first_chunk()))
