@@ -30,7 +30,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("monoslam: {error:#}");
+            eprintln!("monoslam: {}", commands::in_flags(&format!("{error:#}")));
             ExitCode::FAILURE
         }
     }

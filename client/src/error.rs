@@ -70,6 +70,13 @@ impl ClientError {
         }
     }
 
+    /// A server that does not answer, and what of the environment may lead astray.
+    pub(crate) fn unreachable(server: &str, reason: String) -> Self {
+        let proxies = PROXY_VARIABLES.iter().filter_map(|name| Some((*name, std::env::var(name).ok()?)));
+        let hint = proxy_hint(server, proxies).unwrap_or_default();
+        Self::Unreachable { server: server.to_owned(), reason: reason + &hint }
+    }
+
     pub(crate) fn protocol(message: impl Into<String>) -> Self {
         Self::Protocol(message.into())
     }
@@ -86,10 +93,23 @@ impl ClientError {
             return Self::NotGrpc { server: server.to_owned() };
         }
         if is_of_connection && !is_from_server {
-            return Self::Unreachable { server: server.to_owned(), reason: causes(status) };
+            return Self::unreachable(server, causes(status));
         }
         Self::Refused { code: status.code(), message: status.message().to_owned() }
     }
+}
+
+/// Variables that name a proxy, for other programs.
+const PROXY_VARIABLES: [&str; 6] =
+    ["http_proxy", "HTTP_PROXY", "https_proxy", "HTTPS_PROXY", "all_proxy", "ALL_PROXY"];
+
+/// What to say of a server that is not reached where there is a proxy, unless it is on this machine.
+fn proxy_hint<'a>(server: &str, mut proxies: impl Iterator<Item = (&'a str, String)>) -> Option<String> {
+    let uri: tonic::transport::Uri = server.parse().ok()?;
+    let host = uri.host()?.trim_matches(['[', ']']);
+    let is_loopback = host == "localhost" || host.parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback());
+    let (name, proxy) = proxies.find(|(_, proxy)| !is_loopback && !proxy.is_empty())?;
+    Some(format!("; the connection goes to it directly: the proxy {proxy} that {name} names is not used"))
 }
 
 /// Whether a status stands for the page of a web server that knows nothing of what was asked. There is no
@@ -124,6 +144,19 @@ mod tests {
     use std::collections::HashMap;
     use tonic::Status;
     use tonic_types::ErrorDetails;
+
+    #[test]
+    fn a_proxy_is_named_unless_the_server_is_on_this_machine() {
+        let hint = |server: &str, proxy: &str| {
+            proxy_hint(server, [("http_proxy", proxy.to_owned())].into_iter()).unwrap_or_default()
+        };
+        let told = hint("http://slam.example:50051", "http://10.0.0.1:3128");
+        assert!(told.contains("http://10.0.0.1:3128") && told.contains("http_proxy"), "{told}");
+        for local in ["http://127.0.0.1:50051", "http://[::1]:50051", "http://localhost:50051"] {
+            assert_eq!(hint(local, "http://10.0.0.1:3128"), "", "{local}");
+        }
+        assert_eq!(hint("http://slam.example:50051", ""), "");
+    }
 
     #[test]
     fn a_broken_connection_passes_and_a_refusal_does_not() {

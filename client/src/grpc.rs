@@ -71,10 +71,8 @@ impl SlamClient {
             let tls = endpoint.tls_config(credentials.grpc_tls());
             endpoint = tls.map_err(|error| ClientError::Credentials(causes(&error)))?;
         }
-        let channel = endpoint.connect().await.map_err(|error| ClientError::Unreachable {
-            server: server.to_owned(),
-            reason: causes(&error),
-        })?;
+        let connected = endpoint.connect().await;
+        let channel = connected.map_err(|error| ClientError::unreachable(server, causes(&error)))?;
         let grpc = SlamServiceClient::with_interceptor(channel, bearer);
         Ok(Self { server: uri, credentials, grpc })
     }
@@ -85,7 +83,7 @@ impl SlamClient {
     /// If the server cannot be asked where it is.
     pub async fn http(&mut self) -> Result<HttpClient, ClientError> {
         let address = self.http_address().await?;
-        HttpClient::with(address, &self.credentials)
+        HttpClient::told(address, &self.credentials)
     }
 
     /// The address connected to.

@@ -30,6 +30,9 @@ const MAX_IMAGE_BYTES: usize = 128 << 20;
 /// The longest answer that is held in memory, bytes: the graph of a large map has some megabytes.
 const MAX_JSON_BYTES: usize = 256 << 20;
 
+/// The response header in which the server tells how many poses a trajectory does not have.
+const POSES_LEFT_OUT_HEADER: &str = "x-monoslam-poses-left-out";
+
 /// What must be escaped in a segment of a path [RFC 3986, section 2.3].
 const NOT_UNRESERVED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
 
@@ -144,6 +147,8 @@ named!(TrajectoryKind, "a kind of trajectory");
 pub struct HttpClient {
     address: String,
     authorization: Option<HeaderValue>,
+    /// The address is made of what the server tells, which another port may stand for where the client is.
+    is_told: bool,
     http: Client<HttpsConnector<HttpConnector>, Empty<Bytes>>,
 }
 
@@ -174,10 +179,20 @@ impl HttpClient {
         let authorization = token.and_then(|header| HeaderValue::from_bytes(header.as_encoded_bytes()).ok());
         let http = Client::builder(TokioExecutor::new())
             .build(credentials.connector(address.starts_with("https:"))?);
-        Ok(Self { address, authorization, http })
+        Ok(Self { address, authorization, is_told: false, http })
     }
 
-    /// Writes a session's trajectory to `out` as it comes.
+    /// The same at an address that the server told, which errors say.
+    ///
+    /// # Errors
+    /// If the credentials cannot be used.
+    pub fn told(address: impl Into<String>, credentials: &Credentials) -> Result<Self, ClientError> {
+        Ok(Self { is_told: true, ..Self::with(address, credentials)? })
+    }
+
+    /// Writes a session's trajectory to `out` as it comes: of one submap, or if none is given of the largest
+    /// (of all where the format names each pose's). How many poses are left out, of submaps that are not the
+    /// largest.
     ///
     /// # Errors
     /// If the server cannot be asked or refuses, or `out` fails.
@@ -186,11 +201,19 @@ impl HttpClient {
         session_id: &str,
         format: TrajectoryFormat,
         kind: TrajectoryKind,
+        submap_id: Option<u32>,
         out: &mut impl Write,
-    ) -> Result<(), ClientError> {
+    ) -> Result<u64, ClientError> {
         let session_id = utf8_percent_encode(session_id, NOT_UNRESERVED);
-        let path = format!("/v1/sessions/{session_id}/trajectory?format={format}&kind={kind}");
-        self.write_body(self.get(&path).await?, out, |_, _| {}).await
+        let mut path = format!("/v1/sessions/{session_id}/trajectory?format={format}&kind={kind}");
+        if let Some(submap_id) = submap_id {
+            path.push_str(&format!("&submap_id={submap_id}"));
+        }
+        let response = self.get(&path).await?;
+        let told =
+            response.headers().get(POSES_LEFT_OUT_HEADER).and_then(|value| value.to_str().ok()?.parse().ok());
+        self.write_body(response, out, |_, _| {}).await?;
+        Ok(told.unwrap_or(0))
     }
 
     /// Writes a session's map to `out` as it comes: of one submap, or if none is given of the largest (in
@@ -283,7 +306,8 @@ impl HttpClient {
     /// If the server cannot be asked or refuses.
     pub async fn trajectory(&self, session_id: &str) -> Result<Trajectory, ClientError> {
         let mut tum = Vec::new();
-        self.write_trajectory(session_id, TrajectoryFormat::Tum, TrajectoryKind::Frames, &mut tum).await?;
+        let (format, kind) = (TrajectoryFormat::Tum, TrajectoryKind::Frames);
+        self.write_trajectory(session_id, format, kind, None, &mut tum).await?;
         Trajectory::parse_tum(&String::from_utf8_lossy(&tum))
             .map_err(|error| ClientError::protocol(error.to_string()))
     }
@@ -308,7 +332,13 @@ impl HttpClient {
     }
 
     fn unreachable(&self, error: &(dyn std::error::Error + 'static)) -> ClientError {
-        ClientError::Unreachable { server: self.address.clone(), reason: causes(error) }
+        let hint = if self.is_told {
+            "; that is the port the server tells of its HTTP interface: where another one leads to it, as with \
+             containers, give its address with --http"
+        } else {
+            ""
+        };
+        ClientError::unreachable(&self.address, format!("{}{hint}", causes(error)))
     }
 }
 

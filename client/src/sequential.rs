@@ -26,7 +26,13 @@ pub struct Sequential {
     reopen: Option<Box<Open>>,
     state: Mutex<State>,
     is_stopped: AtomicBool,
+    /// Frames whose times go back are put behind the last one.
+    continues_times: bool,
 }
+
+/// Between the last frame and the first after the clock was set back, nanoseconds: how long that took is not
+/// known, and tracking begins anew in any case.
+const GAP_NS: i64 = 1_000_000_000;
 
 struct State {
     reader: Box<dyn FrameReader>,
@@ -36,11 +42,15 @@ struct State {
     kept: VecDeque<SourceFrame>,
     n_kept_bytes: usize,
     n_frames: Option<usize>,
+    /// What is added to the times that are read, nanoseconds, and how often it was changed.
+    shift_ns: i64,
+    n_shifts: usize,
 }
 
 impl State {
     fn of(reader: Box<dyn FrameReader>) -> Self {
-        Self { reader, next_idx: 0, kept: VecDeque::new(), n_kept_bytes: 0, n_frames: None }
+        let kept = VecDeque::new();
+        Self { reader, next_idx: 0, kept, n_kept_bytes: 0, n_frames: None, shift_ns: 0, n_shifts: 0 }
     }
 
     fn first_kept(&self) -> usize {
@@ -48,12 +58,15 @@ impl State {
     }
 
     /// Reads and keeps the next frame. Whether there is one.
-    fn advance(&mut self) -> Result<bool, FileError> {
+    fn advance(&mut self, continues_times: bool) -> Result<bool, FileError> {
         let Some(frame) = self.reader.next_frame()? else {
             self.n_frames = Some(self.next_idx);
             return Ok(false);
         };
-        let frame = as_sent(frame);
+        let mut frame = as_sent(frame);
+        if continues_times {
+            self.continue_time(&mut frame);
+        }
         self.n_kept_bytes += n_bytes(&frame);
         self.kept.push_back(frame);
         self.next_idx += 1;
@@ -62,6 +75,19 @@ impl State {
             self.n_kept_bytes -= gone.as_ref().map_or(0, n_bytes);
         }
         Ok(true)
+    }
+
+    /// Puts a frame whose clock was set back behind the last one, and those after it likewise.
+    fn continue_time(&mut self, frame: &mut SourceFrame) {
+        let read_ns = frame.timestamp_ns;
+        frame.timestamp_ns = read_ns.saturating_add(self.shift_ns);
+        if let Some(last) = self.kept.back()
+            && frame.timestamp_ns <= last.timestamp_ns
+        {
+            frame.timestamp_ns = last.timestamp_ns.saturating_add(GAP_NS);
+            self.shift_ns = frame.timestamp_ns.saturating_sub(read_ns);
+            self.n_shifts += 1;
+        }
     }
 }
 
@@ -74,7 +100,15 @@ impl Sequential {
         open: impl Fn() -> Result<Box<dyn FrameReader>, FileError> + Send + Sync + 'static,
     ) -> Result<Self, FileError> {
         let state = Mutex::new(State::of(open()?));
-        Ok(Self { reopen: Some(Box::new(open)), state, is_stopped: AtomicBool::new(false) })
+        let is_stopped = AtomicBool::new(false);
+        Ok(Self { reopen: Some(Box::new(open)), state, is_stopped, continues_times: false })
+    }
+
+    /// The same, frames whose times go back put behind the last one: where a clock is set back, a new segment
+    /// begins a second later.
+    #[must_use]
+    pub fn with_continued_times(self) -> Self {
+        Self { continues_times: true, ..self }
     }
 
     /// The same of so many frames, or fewer: what reads them finds the end.
@@ -86,7 +120,8 @@ impl Sequential {
 
     /// What passes once: a camera, or a pipe.
     pub fn live(reader: Box<dyn FrameReader>) -> Self {
-        Self { reopen: None, state: Mutex::new(State::of(reader)), is_stopped: AtomicBool::new(false) }
+        let (state, is_stopped) = (Mutex::new(State::of(reader)), AtomicBool::new(false));
+        Self { reopen: None, state, is_stopped, continues_times: false }
     }
 
     /// Ends it before the next frame.
@@ -96,7 +131,13 @@ impl Sequential {
 
     /// What was wrong without keeping frames from being read.
     pub fn remark(&self) -> Option<String> {
-        self.state().reader.remark()
+        let state = self.state();
+        let n_shifts = state.n_shifts;
+        let shifts = (n_shifts > 0).then(|| {
+            format!("the clock of the source went back {n_shifts} times; what followed was put a second behind the last frame")
+        });
+        let sentences: Vec<String> = [state.reader.remark(), shifts].into_iter().flatten().collect();
+        (!sentences.is_empty()).then(|| sentences.join("\n"))
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -124,7 +165,7 @@ impl FrameSource for Sequential {
                 state.n_frames = Some(state.next_idx);
                 return Ok(None);
             }
-            if !state.advance()? {
+            if !state.advance(self.continues_times)? {
                 return Ok(None);
             }
         }
@@ -221,6 +262,33 @@ mod tests {
         source.stop();
         assert_eq!(source.frame(101).unwrap(), None);
         assert_eq!(source.n_frames(), Some(101));
+    }
+
+    /// A clock that is set back by ten seconds at the third frame.
+    struct SetBack(usize);
+
+    impl FrameReader for SetBack {
+        fn next_frame(&mut self) -> Result<Option<TimedFrame>, FileError> {
+            let times_s = [100, 101, 91, 92, 93];
+            let Some(time_s) = times_s.get(self.0) else { return Ok(None) };
+            self.0 += 1;
+            let image = FrameImage::Encoded(vec![0]);
+            Ok(Some(TimedFrame { timestamp_ns: time_s * 1_000_000_000, image }))
+        }
+    }
+
+    #[test]
+    fn times_go_on_behind_a_clock_that_was_set_back() {
+        let times = |source: Sequential| -> Vec<i64> {
+            let seconds = |i| source.timestamp_ns(i).unwrap().unwrap() / 1_000_000_000;
+            let times = (0..5).map(seconds).collect();
+            assert_eq!(seconds(0), 100, "the same when it is read again");
+            times
+        };
+        let open = || Ok(Box::new(SetBack(0)) as Box<dyn FrameReader>);
+        assert_eq!(times(Sequential::new(open).unwrap()), [100, 101, 91, 92, 93]);
+        let continued = Sequential::new(open).unwrap().with_continued_times();
+        assert_eq!(times(continued), [100, 101, 102, 103, 104]);
     }
 
     #[test]

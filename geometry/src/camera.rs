@@ -16,12 +16,27 @@ const MAX_SIDE_PX: u32 = 16_384;
 /// Samples along each side of the image when its border is examined.
 const BORDER_SAMPLES: u32 = 64;
 
+/// Samples along each side of the image when it is counted how much of it has rays.
+const AREA_SAMPLES: u32 = 64;
+
+/// Focal lengths in shares of the image's longer side: below are lengths in millimeters or of an image of
+/// size one, above are views of less than a tenth of a degree.
+const FOCAL_SHARES: std::ops::RangeInclusive<f64> = 0.05..=1000.0;
+
+/// A distortion that leaves less of the image than this is a mistake, and not one that folds in the corners.
+const MIN_USABLE_SHARE: f64 = 0.5;
+
+/// Coefficients of OpenCV's model that are not read, by their places behind the rational ones.
+const THIN_PRISM: std::ops::Range<usize> = 8..12;
+const TILT: std::ops::Range<usize> = 12..14;
+
 /// The family of a camera's lens distortion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum CameraModel {
     /// No distortion, no coefficients.
     Pinhole,
-    /// Brown-Conrady, with 4, 5 or 8 coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6]]`.
+    /// Brown-Conrady, with 4, 5 or 8 coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6]]`; 12 or 14
+    /// if those behind, of thin prisms and a tilted sensor, are zero.
     Radtan,
     /// Equidistant fisheye with four coefficients `k1 k2 k3 k4`.
     KannalaBrandt,
@@ -37,6 +52,16 @@ impl CameraModel {
             Self::Radtan => "radtan",
             Self::KannalaBrandt => "kannala-brandt",
             Self::Fov => "fov",
+        }
+    }
+
+    /// The coefficients in their order.
+    pub fn coefficient_order(self) -> &'static str {
+        match self {
+            Self::Pinhole => "",
+            Self::Radtan => "k1 k2 p1 p2 k3",
+            Self::KannalaBrandt => "k1 k2 k3 k4",
+            Self::Fov => "ω",
         }
     }
 
@@ -82,8 +107,9 @@ pub struct CameraError {
     pub message: String,
 }
 
-/// A camera whose calibration has been checked: every pixel of the image, or at least everything within
-/// [`MAX_UNDISTORTED_ANGLE_DEG`] of the axis, belongs to exactly one ray.
+/// A camera whose calibration has been checked: every pixel of the image belongs to one ray at most, and most
+/// do to one. Those without are where the distortion folds back, and further than
+/// [`MAX_UNDISTORTED_ANGLE_DEG`] from the axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     parameters: CameraParameters,
@@ -98,11 +124,43 @@ impl Camera {
     ///
     /// # Errors
     /// A [`CameraError`] that names the first field that is wrong.
-    pub fn new(parameters: CameraParameters) -> Result<Self, CameraError> {
+    pub fn new(mut parameters: CameraParameters) -> Result<Self, CameraError> {
+        drop_zero_tail(&mut parameters)?;
         check_numbers(&parameters)?;
         let camera = Self::unchecked(parameters);
         camera.check_invertible()?;
         Ok(camera)
+    }
+
+    /// The share of the image where the distortion folds back, so that no ray belongs to a pixel; it is not
+    /// used.
+    pub fn folded_share(&self) -> f64 {
+        if self.distortion.field_limit() >= MAX_UNDISTORTED_ANGLE_DEG.to_radians() - 1e-9 {
+            return 0.0;
+        }
+        let [step_x, step_y] =
+            [self.width(), self.height()].map(|side| f64::from(side) / f64::from(AREA_SAMPLES));
+        let at = |i: u32, step: f64| (f64::from(i) + 0.5) * step - 0.5;
+        let pixels = (0..AREA_SAMPLES)
+            .flat_map(|y| (0..AREA_SAMPLES).map(move |x| Vector2::new(at(x, step_x), at(y, step_y))));
+        let n_folded = pixels.filter(|pixel| self.unproject_nominal(pixel).is_none()).count();
+        n_folded as f64 / f64::from(AREA_SAMPLES * AREA_SAMPLES)
+    }
+
+    /// What is doubtful about the calibration without keeping it from being used, sentences for the user.
+    pub fn warnings(&self) -> Vec<String> {
+        let folded = self.folded_share();
+        if folded == 0.0 {
+            return Vec::new();
+        }
+        let sentence = format!(
+            "the {} distortion folds back {:.1} degrees from the axis: {:.1} % of the image, at its corners or borders, \
+             are not used; a calibration with board corners there would show them",
+            self.parameters.model.name(),
+            self.distortion.field_limit().to_degrees(),
+            100.0 * folded
+        );
+        vec![sentence]
     }
 
     fn unchecked(parameters: CameraParameters) -> Self {
@@ -308,22 +366,45 @@ impl Camera {
         if self.distortion.field_limit() >= MAX_UNDISTORTED_ANGLE_DEG.to_radians() - 1e-9 {
             return Ok(());
         }
-        // The radial part folds somewhere. If the border is inside that circle, so is the image.
-        match self.border().find(|pixel| self.unproject(pixel).is_none()) {
-            None => Ok(()),
-            Some(pixel) => Err(error(
+        let folded = self.folded_share();
+        if folded <= 1.0 - MIN_USABLE_SHARE {
+            return Ok(());
+        }
+        Err(error(
+            "distortion",
+            format!(
+                "distortion cannot be inverted over most of the image: the {} coefficients fold back {:.1} degrees from the \
+                 axis, and {:.0} % of the image lie beyond. Are they in the order {}?",
+                self.parameters.model.name(),
+                self.distortion.field_limit().to_degrees(),
+                100.0 * folded,
+                self.parameters.model.coefficient_order()
+            ),
+        ))
+    }
+}
+
+/// Takes off the coefficients of thin prisms and of a tilted sensor, which must be zero.
+fn drop_zero_tail(p: &mut CameraParameters) -> Result<(), CameraError> {
+    let n = p.distortion.len();
+    if p.model != CameraModel::Radtan || !(n == THIN_PRISM.end || n == TILT.end) {
+        return Ok(());
+    }
+    for (range, name) in [(THIN_PRISM, "thin prism (s1 to s4)"), (TILT, "tilted sensor (tx, ty)")] {
+        let used = range.clone().find(|i| p.distortion.get(*i).is_some_and(|k| *k != 0.0));
+        if let Some(i) = used {
+            return Err(error(
                 "distortion",
                 format!(
-                    "distortion cannot be inverted over the whole image: the {} coefficients fold back {:.1} \
-                     degrees from the axis, inside the image (pixel {:.0}, {:.0})",
-                    self.parameters.model.name(),
-                    self.distortion.field_limit().to_degrees(),
-                    pixel.x,
-                    pixel.y
+                    "distortion by a {name} is not supported, and coefficient {i} is {}; calibrate without it \
+                     (OpenCV's CALIB_RATIONAL_MODEL at most)",
+                    p.distortion[i]
                 ),
-            )),
+            ));
         }
     }
+    p.distortion.truncate(THIN_PRISM.start);
+    Ok(())
 }
 
 fn error(field: &'static str, message: String) -> CameraError {
@@ -339,11 +420,28 @@ fn check_numbers(p: &CameraParameters) -> Result<(), CameraError> {
             ));
         }
     }
+    let longer = f64::from(p.width.max(p.height));
     for (field, focal) in [("fx", p.fx), ("fy", p.fy)] {
         if !(focal.is_finite() && focal > 0.0) {
             return Err(error(
                 field,
                 format!("{field} must be a positive focal length in pixels, not {focal}"),
+            ));
+        }
+        if !FOCAL_SHARES.contains(&(focal / longer)) {
+            let (least, most) = (FOCAL_SHARES.start() * longer, FOCAL_SHARES.end() * longer);
+            let hint = if focal < least {
+                "; millimeters become pixels when divided by the width of the sensor and multiplied by that of the image"
+            } else {
+                ""
+            };
+            return Err(error(
+                field,
+                format!(
+                    "{field} must be a focal length in pixels, between {least} and {most} for images of {}x{}, not \
+                     {focal}{hint}",
+                    p.width, p.height
+                ),
             ));
         }
     }

@@ -18,6 +18,10 @@ const MONOTONE_SCAN_STEPS: usize = 2000;
 /// cover a thousand of the undistorted one.
 const MIN_RADIAL_SLOPE: f64 = 1e-3;
 
+/// A function that stops rising is used only while its slope exceeds this: towards the fold a pixel's noise
+/// grows without bound, and a polynomial that folds was not fitted there.
+const MIN_SLOPE_BEFORE_FOLD: f64 = 0.1;
+
 /// A lens model with its coefficients.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Distortion {
@@ -107,9 +111,16 @@ fn on_plane(point: &Vector3<f64>) -> Option<Vector2<f64>> {
     }
 }
 
-/// Where in `(0, end]` the function of slope `slope` stops rising, or `end` if it does not.
+/// Up to where in `(0, end]` the function of slope `slope` can be used: to `end` if it rises that far, else
+/// to a little before it stops.
 fn rising_until(end: f64, slope: impl Fn(f64) -> f64) -> f64 {
-    let rising = |x: f64| slope(x) > MIN_RADIAL_SLOPE;
+    let limit = steeper_until(end, MIN_RADIAL_SLOPE, &slope);
+    if limit < end { steeper_until(end, MIN_SLOPE_BEFORE_FOLD, &slope) } else { end }
+}
+
+/// Where in `(0, end]` the slope first falls to `least`, or `end` if it does not.
+fn steeper_until(end: f64, least: f64, slope: &impl Fn(f64) -> f64) -> f64 {
+    let rising = |x: f64| slope(x) > least;
     let step = end / MONOTONE_SCAN_STEPS as f64;
     let Some(first_bad) = (0..=MONOTONE_SCAN_STEPS).find(|i| !rising(*i as f64 * step)) else {
         return end;

@@ -170,8 +170,69 @@ fn a_distortion_that_folds_outside_the_image_does_not_bring_far_points_into_it()
     // k1 < 0 alone folds at r = 1/sqrt(3 * 0.3): points beyond would land in the image again.
     let p = parameters(CameraModel::Radtan, (640, 480), [600.0, 600.0, 320.0, 240.0], &[-0.3, 0.0, 0.0, 0.0]);
     let camera = Camera::new(p).unwrap();
-    assert!(camera.project(&Vector3::new(1.0, 0.0, 1.0)).is_some());
+    assert!(camera.project(&Vector3::new(0.99, 0.0, 1.0)).is_some());
+    assert_eq!((camera.folded_share(), camera.warnings()), (0.0, vec![]));
     assert_eq!(camera.project(&Vector3::new(1.8, 0.0, 1.0)), None);
+}
+
+#[test]
+fn a_distortion_that_folds_in_the_corners_is_used_where_it_rises() {
+    // As OpenCV fits it to a phone whose board never came to the corners.
+    let p =
+        parameters(CameraModel::Radtan, (640, 480), [400.0, 400.0, 319.5, 239.5], &[-0.25, 0.0, 0.0, 0.0]);
+    let camera = Camera::new(p).unwrap();
+    let share = camera.folded_share();
+    assert!((0.01..0.3).contains(&share), "{share}");
+    let warning = &camera.warnings()[0];
+    assert!(warning.contains(&format!("{:.1} % of the image", 100.0 * share)), "{warning}");
+    let mut n_without = 0;
+    for x in 0..64 {
+        for y in 0..48 {
+            let pixel = Vector2::new(10.0 * f64::from(x) + 4.5, 10.0 * f64::from(y) + 4.5);
+            match camera.unproject(&pixel) {
+                Some(bearing) => {
+                    assert!((camera.project(&bearing).unwrap() - pixel).norm() < 1e-6, "{pixel}")
+                }
+                None => n_without += 1,
+            }
+        }
+    }
+    assert!((f64::from(n_without) / (64.0 * 48.0) - share).abs() < 0.02, "{n_without}");
+    assert!(camera.unproject(&Vector2::new(320.0, 240.0)).is_some());
+    assert_eq!(camera.unproject(&Vector2::new(0.0, 0.0)), None);
+    let (low, high) = camera.undistorted_bounds();
+    assert!(low.iter().chain(high.iter()).all(|x| x.abs() < 5000.0), "{low} {high}");
+}
+
+#[test]
+fn opencv_files_may_have_twelve_or_fourteen_coefficients() {
+    let with = |distortion: &[f64]| {
+        let p = parameters(CameraModel::Radtan, (640, 480), [500.0, 500.0, 319.5, 239.5], distortion);
+        Camera::new(p).map_err(|error| error.message)
+    };
+    let mut long = vec![0.1, -0.05, 0.001, 0.002, 0.01, 0.0, 0.0, 0.0];
+    let short = with(&long).unwrap();
+    for n in [12, 14] {
+        long.resize(n, 0.0);
+        assert_eq!(with(&long).as_ref(), Ok(&short), "{n} coefficients");
+    }
+    for (i, name) in [(8, "thin prism"), (11, "thin prism"), (12, "tilted sensor"), (13, "tilted sensor")] {
+        let mut used = long.clone();
+        used[i] = 1e-3;
+        let refused = with(&used).unwrap_err();
+        assert!(refused.contains(name) && refused.contains(&format!("coefficient {i}")), "{refused}");
+    }
+}
+
+#[test]
+fn focal_lengths_in_millimeters_are_refused_with_what_would_be_right() {
+    for focal in [3.6, 26.0, 0.8, 1e300] {
+        let p = parameters(CameraModel::Pinhole, (640, 480), [focal, focal, 319.5, 239.5], &[]);
+        let refused = Camera::new(p).unwrap_err();
+        assert_eq!(refused.field, "fx");
+        assert!(refused.message.contains("in pixels, between 32 and 640000"), "{refused}");
+        assert_eq!(refused.message.contains("millimeters"), focal < 32.0, "{refused}");
+    }
 }
 
 #[test]

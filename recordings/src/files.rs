@@ -5,7 +5,9 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-use crate::time::parse_seconds_ns;
+use crate::text;
+use crate::time::{decimal_nano, parse_seconds_ns};
+use crate::units;
 
 /// Why a file or folder of a recording could not be used.
 #[derive(Debug, Error)]
@@ -48,12 +50,28 @@ impl FileError {
     }
 }
 
-/// The number of lines of a list, such as `rgb.txt`, that are neither empty nor comments.
+/// The times of a list, such as `rgb.txt` or `times.txt`: the first field of each line that is neither empty
+/// nor a comment, nor a head in words.
 ///
 /// # Errors
-/// If the file cannot be read.
-pub fn count_data_lines(path: &Path) -> Result<usize, FileError> {
-    Ok(TextFile::read(path)?.lines().count())
+/// If the file cannot be read, or a line has no time.
+pub fn read_times(path: &Path) -> Result<Vec<i64>, FileError> {
+    let file = TextFile::read(path)?;
+    let mut numbers = Vec::new();
+    for (idx, line) in file.lines().enumerate() {
+        let field = line.fields().first().copied().unwrap_or_default();
+        let field = field.split_whitespace().next().unwrap_or_default();
+        match decimal_nano(field) {
+            Some(number) => numbers.push((line, number)),
+            None if idx == 0 && file.lines().count() > 1 => {}
+            None => return Err(line.error(format!("`{field}` is not a time"))),
+        }
+    }
+    let unit = units::of_images(&numbers.iter().map(|(_, number)| *number).collect::<Vec<_>>()).unit;
+    let time = |(line, number): &(Line<'_>, i128)| {
+        unit.to_ns(*number, None).ok_or_else(|| line.error(format!("this is not a time in {unit}")))
+    };
+    numbers.iter().map(time).collect()
 }
 
 /// A whole text file.
@@ -64,9 +82,10 @@ pub(crate) struct TextFile {
 
 impl TextFile {
     pub(crate) fn read(path: &Path) -> Result<Self, FileError> {
-        match std::fs::read_to_string(path) {
+        let bytes = std::fs::read(path).map_err(|source| FileError::io(path, source))?;
+        match text::decode(bytes) {
             Ok(text) => Ok(Self::from_text(path, text)),
-            Err(source) => Err(FileError::io(path, source)),
+            Err((line, message)) => Err(FileError::Line { path: path.to_owned(), line, message }),
         }
     }
 
@@ -110,19 +129,17 @@ impl<'a> Line<'a> {
         self.text.split_whitespace().collect()
     }
 
-    /// The fields between commas, trimmed.
-    pub(crate) fn cells(&self) -> Vec<&'a str> {
-        self.text.split(',').map(str::trim).collect()
+    /// The fields between commas, semicolons, or else blanks.
+    pub(crate) fn fields(&self) -> Vec<&'a str> {
+        match self.text.contains([',', ';']) {
+            true => self.text.split([',', ';']).map(str::trim).collect(),
+            false => self.words(),
+        }
     }
 
     /// Reads `field` as decimal seconds.
     pub(crate) fn seconds_ns(&self, field: &str) -> Result<i64, FileError> {
         parse_seconds_ns(field).ok_or_else(|| self.error(format!("`{field}` is not a time in seconds")))
-    }
-
-    /// Reads `field` as integer nanoseconds.
-    pub(crate) fn integer_ns(&self, field: &str) -> Result<i64, FileError> {
-        field.parse().map_err(|_| self.error(format!("`{field}` is not a time in nanoseconds")))
     }
 
     /// Reads `N` finite numbers.

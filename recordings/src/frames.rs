@@ -6,7 +6,7 @@ use crate::files::FileError;
 /// An image as it was recorded.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FrameImage {
-    /// A PNG or JPEG file.
+    /// An image file.
     Encoded(Vec<u8>),
     /// Pixels.
     Raw(RawImage),
@@ -57,7 +57,7 @@ impl PixelFormat {
 }
 
 impl FrameImage {
-    /// Width and height, pixels; `None` if it is neither PNG nor JPEG.
+    /// Width and height, pixels; `None` if it is of no format that is known.
     pub fn size(&self) -> Option<(u32, u32)> {
         match self {
             Self::Raw(image) => Some((image.width, image.height)),

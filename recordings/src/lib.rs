@@ -22,25 +22,31 @@
 
 #[cfg(feature = "bags")]
 mod bag;
+mod calibration;
 mod data;
 mod dataset;
 mod evaluation;
 mod files;
 mod frames;
+mod text;
 mod time;
 mod trajectory;
+mod units;
 mod video;
+mod yaml;
 
 #[cfg(feature = "bags")]
 pub use bag::{Bag, BagReader};
+pub use calibration::read_calibration;
 pub use data::{DATA_VARIABLE, find_folder};
-pub use dataset::{FrameFile, Layout, Playback, Recording, read_calibration};
+pub use dataset::{CameraOfSize, FrameFile, Layout, OpenOptions, Playback, Recording};
 pub use evaluation::{
-    Alignment, Evaluation, EvaluationError, EvaluationOptions, Match, PoseError, associate, evaluate,
-    pose_errors,
+    Alignment, Evaluation, EvaluationError, EvaluationOptions, Match, PoseError, SegmentErrors, TimeOffset,
+    associate, evaluate, find_offset, hints, pose_errors,
 };
-pub use files::{FileError, count_data_lines};
+pub use files::{FileError, read_times};
 pub use frames::{FrameImage, FrameReader, PixelFormat, RawImage, TimedFrame};
 pub use time::{format_seconds, parse_seconds_ns};
-pub use trajectory::{StampedPose, Trajectory};
+pub use trajectory::{ReadTrajectory, StampedPose, Trajectory};
+pub use units::TimeUnit;
 pub use video::{Ffmpeg, FrameTimes, GrayReader, MjpegReader, VideoInput, VideoReader, read_pipe};

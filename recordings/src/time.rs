@@ -14,6 +14,11 @@ const NS_DIGITS: i32 = 9;
 ///
 /// `None` if it is not such a number or does not fit.
 pub fn parse_seconds_ns(text: &str) -> Option<i64> {
+    decimal_nano(text).and_then(|ns| i64::try_from(ns).ok())
+}
+
+/// Reads a decimal number in billionths, rounded, as [`parse_seconds_ns`] does seconds.
+pub(crate) fn decimal_nano(text: &str) -> Option<i128> {
     let (mantissa, exponent) = match text.find(['e', 'E']) {
         Some(at) => (&text[..at], text[at + 1..].parse::<i32>().ok()?),
         None => (text, 0),
@@ -32,7 +37,7 @@ pub fn parse_seconds_ns(text: &str) -> Option<i64> {
     let digits = whole.bytes().chain(fraction.bytes()).map(|b| i128::from(b - b'0'));
     let value = digits.into_iter().try_fold(0i128, |sum, digit| sum.checked_mul(10)?.checked_add(digit))?;
     let ns = scale_by_power_of_ten(value, shift)?;
-    i64::try_from(if negative { -ns } else { ns }).ok()
+    Some(if negative { -ns } else { ns })
 }
 
 /// `value * 10^power`, rounded half up; `value` is not negative.

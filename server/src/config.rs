@@ -5,10 +5,10 @@
 use crate::network::{self, AccessConfig, ConnectionConfig, QuotaConfig, TlsConfig};
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::HashMap;
 use std::ffi::OsString;
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::{Ipv4Addr, SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -20,8 +20,10 @@ pub struct Config {
     pub data_dir: PathBuf,
     /// Where gRPC listens; port 0 takes a free one. Default 127.0.0.1:50051: nothing is open to the network
     /// unasked.
+    #[serde(deserialize_with = "address_of")]
     pub grpc_addr: SocketAddr,
     /// Where HTTP listens; port 0 takes a free one. Default 127.0.0.1:8080.
+    #[serde(deserialize_with = "address_of")]
     pub http_addr: SocketAddr,
     /// Seconds a shutdown may take before what is still running is abandoned. Default 30.
     pub shutdown_grace_s: f64,
@@ -160,8 +162,50 @@ const NOT_OF_SERVERS: [&str; 4] = ["MONOSLAM_SERVER", "MONOSLAM_DATA", "MONOSLAM
 fn of_server(variables: impl Iterator<Item = (OsString, OsString)>) -> HashMap<String, String> {
     variables
         .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
-        .filter(|(name, _)| !NOT_OF_SERVERS.contains(&name.as_str()))
+        .filter(|(name, _)| !NOT_OF_SERVERS.contains(&name.as_str()) && !is_of_orchestrator(name))
         .collect()
+}
+
+/// Whether an orchestrator sets the variable for a service that is called like this program, or begins like
+/// it: `MONOSLAM_SERVICE_HOST`, `MONOSLAM_PORT`, `MONOSLAM_PORT_50051_TCP_ADDR`,
+/// `MONOSLAM_SERVER_SERVICE_PORT_HTTP`; and the links of containers, `MONOSLAM_NAME`, `MONOSLAM_ENV_X`. No
+/// field of the configuration is called so.
+fn is_of_orchestrator(name: &str) -> bool {
+    let Some(name) = name.strip_prefix("MONOSLAM_") else { return false };
+    // With a mark before it, each part is found at the beginning as well.
+    let name = format!("_{name}");
+    let is_port = |(_, rest): (&str, &str)| {
+        let number = rest.trim_start_matches('_').split('_').next().unwrap_or_default();
+        rest.is_empty()
+            || (rest.starts_with('_') && !number.is_empty() && number.bytes().all(|c| c.is_ascii_digit()))
+    };
+    name.ends_with("_SERVICE_HOST")
+        || name.contains("_SERVICE_PORT")
+        || name.split_once("_PORT").is_some_and(is_port)
+        || name.ends_with("_NAME")
+        || name.contains("_ENV_")
+}
+
+/// An address to listen at, in numbers or by a name such as `localhost`.
+///
+/// # Errors
+/// A sentence for the user.
+pub fn parse_address(text: &str) -> Result<SocketAddr, String> {
+    let found: Vec<SocketAddr> = match text.to_socket_addrs() {
+        Ok(found) => found.collect(),
+        Err(error) => {
+            return Err(format!(
+                "`{text}` is not an address such as 127.0.0.1:50051 or localhost:50051 ({error})"
+            ));
+        }
+    };
+    // A name may stand for two; clients that are given 127.0.0.1 find this one.
+    let chosen = found.iter().find(|address| address.is_ipv4()).or(found.first());
+    chosen.copied().ok_or_else(|| format!("`{text}` has no address"))
+}
+
+fn address_of<'de, D: Deserializer<'de>>(deserializer: D) -> Result<SocketAddr, D::Error> {
+    parse_address(&String::deserialize(deserializer)?).map_err(serde::de::Error::custom)
 }
 
 /// The command line's share of the configuration; what is left out comes from the environment, the file or
@@ -172,10 +216,10 @@ pub struct ConfigArgs {
     #[arg(long, value_name = "DIR", global = true)]
     pub data_dir: Option<PathBuf>,
     /// Where gRPC listens [default: 127.0.0.1:50051]
-    #[arg(long, value_name = "ADDR")]
+    #[arg(long, value_name = "ADDR", value_parser = parse_address)]
     pub grpc_addr: Option<SocketAddr>,
     /// Where HTTP listens [default: 127.0.0.1:8080]
-    #[arg(long, value_name = "ADDR")]
+    #[arg(long, value_name = "ADDR", value_parser = parse_address)]
     pub http_addr: Option<SocketAddr>,
     /// Certificate with which both ports encrypt, a PEM file; read again when it changes
     #[arg(long, value_name = "FILE", requires = "tls_key")]
@@ -309,11 +353,58 @@ mod tests {
     }
 
     #[test]
-    fn variables_of_clients_do_not_configure_a_server() {
-        let names = ["MONOSLAM_DATA", "MONOSLAM_SERVER", "MONOSLAM_LOG"];
+    fn variables_of_clients_and_orchestrators_do_not_configure_a_server() {
+        let names = [
+            "MONOSLAM_DATA",
+            "MONOSLAM_SERVER",
+            "MONOSLAM_LOG",
+            "MONOSLAM_PORT",
+            "MONOSLAM_PORT_50051_TCP",
+            "MONOSLAM_PORT_50051_TCP_ADDR",
+            "MONOSLAM_SERVICE_HOST",
+            "MONOSLAM_SERVICE_PORT",
+            "MONOSLAM_SERVICE_PORT_GRPC",
+            "MONOSLAM_SERVER_SERVICE_HOST",
+            "MONOSLAM_SERVER_PORT",
+            "MONOSLAM_SERVER_PORT_8080_TCP_PROTO",
+            "MONOSLAM_NAME",
+            "MONOSLAM_ENV_PATH",
+        ];
         let variables = names.map(|name| (OsString::from(name), OsString::from("json")));
         let left: Vec<String> = of_server(variables.into_iter()).into_keys().collect();
         assert_eq!(left, ["MONOSLAM_LOG"]);
+    }
+
+    #[test]
+    fn no_field_is_taken_for_a_variable_of_an_orchestrator() {
+        let fields = serde_json::to_value(Config::default()).unwrap();
+        let mut names = Vec::new();
+        for (name, value) in fields.as_object().unwrap() {
+            match value.as_object() {
+                Some(inner) => names.extend(inner.keys().map(|field| format!("MONOSLAM_{name}__{field}"))),
+                None => names.push(format!("MONOSLAM_{name}")),
+            }
+        }
+        assert!(names.len() > 15, "{names:?}");
+        for name in names {
+            assert!(!is_of_orchestrator(&name.to_uppercase()), "{name}");
+        }
+        assert!(!is_of_orchestrator("MONOSLAM_DATA_DRI"), "what is mistyped is refused");
+    }
+
+    #[test]
+    fn addresses_may_be_names() {
+        let address = parse_address("localhost:50051").unwrap();
+        assert!(address.ip().is_loopback() && address.port() == 50051, "{address}");
+        assert_eq!(parse_address("[::1]:7").unwrap().port(), 7);
+        for wrong in ["localhost", "50051", ":50051x", "127.0.0.1:99999"] {
+            assert!(parse_address(wrong).unwrap_err().contains("localhost:50051"), "{wrong}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("monoslam.toml");
+        std::fs::write(&file, "http_addr = \"localhost:81\"\n").unwrap();
+        let config = Config::load(ConfigArgs { config: Some(file), ..ConfigArgs::default() }).unwrap();
+        assert_eq!(config.http_addr.port(), 81);
     }
 
     #[test]

@@ -40,6 +40,8 @@ pub enum ErrorCode {
     TooBusy,
     /// A message is larger than the server takes.
     MessageTooLarge,
+    /// The body is of a type that is not taken here.
+    UnsupportedMediaType,
     /// The database cannot grow.
     StorageFull,
     /// The database cannot be used now.
@@ -90,6 +92,7 @@ impl ErrorCode {
             Self::TooManySessions => "TOO_MANY_SESSIONS",
             Self::TooManyLoadedSessions => "TOO_MANY_LOADED_SESSIONS",
             Self::MessageTooLarge => "MESSAGE_TOO_LARGE",
+            Self::UnsupportedMediaType => "UNSUPPORTED_MEDIA_TYPE",
             Self::StorageFull => "STORAGE_FULL",
             Self::StorageFailed => "STORAGE_FAILED",
             Self::DataLoss => "DATA_LOSS",
@@ -126,6 +129,7 @@ impl ErrorCode {
             Self::TooManySessions => "Too many sessions",
             Self::TooManyLoadedSessions => "Too many sessions are in use",
             Self::MessageTooLarge => "The message is too large",
+            Self::UnsupportedMediaType => "The body is of a type that is not taken here",
             Self::StorageFull => "The storage is full",
             Self::StorageFailed => "The storage failed",
             Self::DataLoss => "The stored map is damaged",
@@ -146,7 +150,7 @@ impl ErrorCode {
     /// The code's gRPC status.
     pub fn grpc(self) -> Code {
         match self {
-            Self::InvalidArgument => Code::InvalidArgument,
+            Self::InvalidArgument | Self::UnsupportedMediaType => Code::InvalidArgument,
             Self::SessionNotFound
             | Self::KeyframeNotFound
             | Self::PrimitiveNotFound
@@ -197,6 +201,7 @@ impl ErrorCode {
             | Self::RateLimited
             | Self::QuotaExceeded => StatusCode::TOO_MANY_REQUESTS,
             Self::MessageTooLarge => StatusCode::PAYLOAD_TOO_LARGE,
+            Self::UnsupportedMediaType => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             Self::StorageFull => StatusCode::INSUFFICIENT_STORAGE,
             Self::StorageFailed | Self::ShuttingDown | Self::TooManyConnections => {
                 StatusCode::SERVICE_UNAVAILABLE

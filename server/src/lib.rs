@@ -43,7 +43,9 @@ pub use options::SessionOptions;
 pub use page::{DEFAULT_PAGE_SIZE, MAX_PAGE_SIZE, Page, PageRequest};
 pub use quick_share::QuickShare;
 pub use rest::viewer_file;
-pub use server::{DATABASE_FILE, Running, Server, Shutdown, open_store, open_store_beside};
+pub use server::{
+    DATABASE_FILE, Running, Server, Shutdown, compact, open_store, open_store_beside, open_store_to_read,
+};
 pub use service::{NewSession, Service};
 pub use session::SessionView;
 pub use shutdown::{Hangups, requested as shutdown_requested};

@@ -234,6 +234,40 @@ pub async fn open_store_beside(config: &Config) -> anyhow::Result<Store> {
     opened.with_context(|| format!("cannot open the database {}", path.display()))
 }
 
+/// Opens the database of a configuration to read it; as it is, where it cannot be written. Whether that is
+/// so.
+///
+/// # Errors
+/// If the database cannot be opened.
+pub async fn open_store_to_read(config: &Config) -> anyhow::Result<(Store, bool)> {
+    let error = match open_store(config).await {
+        Ok(store) => return Ok((store, false)),
+        Err(error) => error,
+    };
+    if !error.downcast_ref::<store::StoreError>().is_some_and(store::StoreError::is_unwritable) {
+        return Err(error);
+    }
+    let path = config.data_dir.join(DATABASE_FILE);
+    let store = Store::open_unwritable(&path).await;
+    Ok((store.with_context(|| format!("cannot open the database {}", path.display()))?, true))
+}
+
+/// Gives the room of deleted sessions back to the file system. Bytes of the file before and after.
+///
+/// # Errors
+/// If a server uses the database, or there is no room beside it to write it anew.
+pub async fn compact(config: &Config) -> anyhow::Result<[u64; 2]> {
+    let _lock = lock_folder(&config.data_dir)?;
+    // The limit is of what sessions may fill, and not of the copy that is made meanwhile.
+    let path = config.data_dir.join(DATABASE_FILE);
+    let store = Store::open(&path, StoreOptions::default())
+        .await
+        .with_context(|| format!("cannot open the database {}", path.display()))?;
+    let bytes = store.compact().await.context("the database cannot be written anew")?;
+    store.close().await?;
+    Ok(bytes)
+}
+
 async fn listen(field: &str, addr: SocketAddr) -> anyhow::Result<TcpListener> {
     TcpListener::bind(addr).await.with_context(|| format!("{field}: cannot listen on {addr}"))
 }

@@ -21,10 +21,6 @@ const MIN_IMAGE_PX: (u32, u32) = (160, 120);
 /// Largest image, pixels: what the memory of a session is sized for.
 const MAX_IMAGE_PX: (u32, u32) = (4096, 3072);
 
-/// Focal lengths that lenses have, in longer sides of the image: from wider than any fisheye to a telescope.
-/// Far below them the coordinates of undistorted pixels are not finite.
-const FOCAL_SIDES: std::ops::RangeInclusive<f64> = 0.02..=1000.0;
-
 /// How long a single image may wait for its turn to be located.
 const LOCALIZATION_PATIENCE: Duration = Duration::from_secs(20);
 
@@ -110,12 +106,15 @@ impl Service {
         self.check_room_for_session(caller).await?;
         let id = id.unwrap_or_else(|| SessionId::generate(caller.owner()));
         let created_at_ns = crate::clock::since_1970_ns();
-        let camera = camera.parameters().clone();
+        let (camera, warnings) = (camera.parameters().clone(), camera.warnings());
         let (id_text, options) = (id.as_str().to_owned(), options.into());
         let new = store::NewSession { id: id_text, camera, options, created_at_ns };
         let record = self.store.create_session(&new).await?;
         *n_sessions += 1;
         access::record(caller, Change::Created, &id);
+        for warning in warnings {
+            tracing::warn!(session.id = %id, "session {id}: {warning}");
+        }
         Ok(self.view(&id, record))
     }
 
@@ -374,14 +373,6 @@ fn no_frame(id: &SessionId, sequence: u64) -> ApiError {
 /// # Errors
 /// If a field of its calibration cannot be; the error names it.
 pub(crate) fn check_camera(camera: CameraParameters) -> Result<Camera, ApiError> {
-    let side = f64::from(camera.width.max(camera.height));
-    for (field, focal) in [("camera.fx", camera.fx), ("camera.fy", camera.fy)] {
-        if !FOCAL_SIDES.contains(&(focal / side)) {
-            let (least, most) = (FOCAL_SIDES.start() * side, FOCAL_SIDES.end() * side);
-            let sentence = format!("is {focal} but must be a focal length of {least} to {most} pixels");
-            return Err(ApiError::invalid(field, sentence));
-        }
-    }
     Camera::new(camera).map_err(|error| ApiError::invalid(format!("camera.{}", error.field), error.message))
 }
 

@@ -56,6 +56,14 @@ impl Api {
         }
     }
 
+    async fn send_image(&self, file: Vec<u8>) -> Answer {
+        let request = Request::builder().method(Method::POST).uri("/v1/sessions/kitchen/localize");
+        let response = self.router.clone().oneshot(request.body(Body::from(file)).unwrap()).await.unwrap();
+        let status = response.status();
+        let body = response.into_body().collect().await.unwrap().to_bytes().to_vec();
+        Answer { status, content_type: "application/json".into(), body }
+    }
+
     async fn get(&self, path: &str) -> Answer {
         self.send(Method::GET, path, Body::empty()).await
     }
@@ -94,7 +102,8 @@ async fn a_session_is_made_read_listed_and_deleted() {
     insta::assert_json_snapshot!("session_exists", again.problem());
 
     let deleted = api.send(Method::DELETE, "/v1/sessions/kitchen", Body::empty()).await;
-    assert_eq!((deleted.status, deleted.body.len()), (StatusCode::NO_CONTENT, 0));
+    assert_eq!((deleted.status, &deleted.json()["id"]), (StatusCode::OK, &json!("kitchen")));
+    assert!(deleted.json()["note"].as_str().unwrap().contains("monoslam-server compact"));
     let gone = api.get("/v1/sessions/kitchen").await;
     assert_eq!(gone.status, StatusCode::NOT_FOUND);
     insta::assert_json_snapshot!("session_not_found", gone.problem());
@@ -125,6 +134,101 @@ async fn wrong_fields_are_named() {
     let too_large = api.send(Method::POST, "/v1/sessions", vec![b' '; 1 << 20]).await;
     assert_eq!(too_large.status, StatusCode::PAYLOAD_TOO_LARGE);
     assert_eq!(too_large.problem()["code"], "MESSAGE_TOO_LARGE");
+}
+
+/// A gray picture of the size of the kitchen's camera.
+fn picture(format: image::ImageFormat) -> Vec<u8> {
+    let mut file = std::io::Cursor::new(Vec::new());
+    let pixels = image::GrayImage::from_fn(640, 480, |x, y| image::Luma([(x / 8 * 31 + y / 8 * 17) as u8]));
+    image::DynamicImage::from(pixels).to_rgb8().write_to(&mut file, format).unwrap();
+    file.into_inner()
+}
+
+#[tokio::test]
+async fn an_image_is_what_its_bytes_are() {
+    use image::ImageFormat::{Bmp, Jpeg, Png, Pnm, Tiff, WebP};
+    let api = Api::new().await;
+    api.post("/v1/sessions", &kitchen()).await;
+    let send = async |content_type: Option<&str>, body: Vec<u8>| {
+        let request = Request::builder().method(Method::POST).uri("/v1/sessions/kitchen/localize");
+        let request = match content_type {
+            Some(said) => request.header("content-type", said),
+            None => request,
+        };
+        let response = api.router.clone().oneshot(request.body(Body::from(body)).unwrap()).await.unwrap();
+        let status = response.status();
+        (
+            status,
+            String::from_utf8(response.into_body().collect().await.unwrap().to_bytes().to_vec()).unwrap(),
+        )
+    };
+    for format in [Png, Jpeg, Bmp, WebP, Tiff, Pnm] {
+        assert_eq!(send(None, picture(format)).await.0, StatusCode::OK, "{format:?}");
+    }
+    for said in [
+        "application/x-www-form-urlencoded",
+        "application/octet-stream",
+        "image/jpg",
+        "IMAGE/JPEG",
+        "image/jpeg; charset=binary",
+        "image/png",
+        "image/*",
+    ] {
+        assert_eq!(send(Some(said), picture(Jpeg)).await.0, StatusCode::OK, "{said}");
+    }
+    for said in ["text/plain", "application/json", "video/mp4"] {
+        let (status, body) = send(Some(said), picture(Jpeg)).await;
+        assert_eq!(status, StatusCode::UNSUPPORTED_MEDIA_TYPE, "{said}");
+        assert!(body.contains("UNSUPPORTED_MEDIA_TYPE") && body.contains("image/jpeg"), "{body}");
+    }
+    let form = |head: &str| {
+        let head = format!("--x\r\ncontent-disposition: form-data; {head}\r\n\r\n");
+        [head.as_bytes(), &picture(Jpeg), b"\r\n--x--\r\n"].concat()
+    };
+    let multipart = Some("multipart/form-data; boundary=x");
+    for head in ["name=\"image\"", "name=\"image\"; filename=\"a.jpg\"", "name=\"photo\"; filename=\"a.jpg\""]
+    {
+        assert_eq!(send(multipart, form(head)).await.0, StatusCode::OK, "{head}");
+    }
+    let (status, body) = send(multipart, form("name=\"note\"")).await;
+    assert!(status == StatusCode::BAD_REQUEST && body.contains("send it as part"), "{body}");
+    let (status, body) = send(None, b"\0\0\0\x18ftypheic\0\0\0\0".to_vec()).await;
+    assert!(status == StatusCode::BAD_REQUEST && body.contains("HEIC"), "{body}");
+
+    let form =
+        Request::builder().method(Method::POST).uri("/v1/sessions").header("content-type", "text/plain");
+    let response = api.router.clone().oneshot(form.body(Body::from("{}")).unwrap()).await.unwrap();
+    assert_eq!(response.status(), StatusCode::UNSUPPORTED_MEDIA_TYPE);
+}
+
+#[tokio::test]
+async fn a_black_picture_is_said_to_be_black() {
+    let api = Api::new().await;
+    api.post("/v1/sessions", &kitchen()).await;
+    for (gray, said) in [(0, "the picture is black; "), (9, "its brightest value is 9 of 255; ")] {
+        let mut file = std::io::Cursor::new(Vec::new());
+        image::GrayImage::from_pixel(640, 480, image::Luma([gray]))
+            .write_to(&mut file, image::ImageFormat::Png)
+            .unwrap();
+        let located = api.send_image(file.into_inner()).await.json();
+        assert!(located["reason"].as_str().unwrap().contains(said), "{located}");
+    }
+    let located = api.send_image(picture(image::ImageFormat::Png)).await.json();
+    assert!(!located["reason"].as_str().unwrap().contains("black"), "{located}");
+}
+
+#[tokio::test]
+async fn a_distortion_that_folds_is_warned_of() {
+    let api = Api::new().await;
+    let mut folding = kitchen();
+    folding["camera"]["fx"] = json!(400.0);
+    folding["camera"]["fy"] = json!(400.0);
+    folding["camera"]["distortion"] = json!([-0.35, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let made = api.post("/v1/sessions", &folding).await;
+    assert_eq!(made.status, StatusCode::CREATED);
+    let warning = made.json()["camera_warnings"][0].as_str().unwrap().to_owned();
+    assert!(warning.contains("folds back") && warning.contains("% of the image"), "{warning}");
+    assert_eq!(made.json()["camera"]["distortion"].as_array().unwrap().len(), 8);
 }
 
 #[tokio::test]

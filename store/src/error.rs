@@ -15,6 +15,18 @@ pub enum StoreError {
         /// Highest version known here.
         supported: i64,
     },
+    /// The database was written by an earlier version of this program and cannot be brought up to date where
+    /// it is.
+    #[error(
+        "the database has schema version {found}, and cannot be written to bring it to {supported}: copy it to where it \
+         can be"
+    )]
+    OlderSchema {
+        /// Version of the file.
+        found: i64,
+        /// The version of this program.
+        supported: i64,
+    },
     /// The file is a database of something else, or no database at all.
     #[error("{path} is not a map database")]
     NotAStore {
@@ -86,9 +98,22 @@ pub enum StoreError {
     Database(#[source] sqlx::Error),
 }
 
+impl StoreError {
+    /// Whether the database, or the folder that its log belongs in, cannot be written.
+    pub fn is_unwritable(&self) -> bool {
+        let error = match self {
+            Self::Io(error) | Self::Database(error) => error,
+            Self::Migrate(sqlx::migrate::MigrateError::Execute(error)) => error,
+            _ => return false,
+        };
+        matches!(primary_code(error), Some(code::READONLY | code::CANTOPEN))
+    }
+}
+
 /// Primary result codes of SQLite, the low byte of an extended one <https://www.sqlite.org/rescode.html>.
 mod code {
     pub const BUSY: i32 = 5;
+    pub const READONLY: i32 = 8;
     pub const IOERR: i32 = 10;
     pub const CORRUPT: i32 = 11;
     pub const FULL: i32 = 13;

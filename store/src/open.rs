@@ -154,6 +154,47 @@ impl Store {
         Ok(Self { writer, readers, path })
     }
 
+    /// Opens a database that cannot be written, such as a copy on a medium that is not to be changed, to read
+    /// it as it is. What is still in its log and not in the file is not seen.
+    ///
+    /// # Errors
+    /// [`StoreError::OlderSchema`] if an earlier version of this program wrote it: it would have to be
+    /// written to be brought up to date. Else as [`Store::open`].
+    pub async fn open_unwritable(path: impl AsRef<Path>) -> Result<Self, StoreError> {
+        let path = path.as_ref().to_path_buf();
+        let options = StoreOptions::default();
+        let connection = reading(&path, &options).immutable(true);
+        let found = schema_of(&path, &connection).await?;
+        let supported = Self::schema_version();
+        if found != Some(supported) {
+            return Err(StoreError::OlderSchema { found: found.unwrap_or(0), supported });
+        }
+        let pool = || {
+            SqlitePoolOptions::new().max_connections(options.n_readers).connect_lazy_with(connection.clone())
+        };
+        Ok(Self { writer: pool(), readers: pool(), path })
+    }
+
+    /// Gives the room of what was deleted back to the file system: the file is written anew without it, for
+    /// which there must be room beside it. Bytes of the file before and after.
+    ///
+    /// # Errors
+    /// [`StoreError::Busy`] if somebody else uses the database, [`StoreError::DiskFull`] if there is no room.
+    pub async fn compact(&self) -> Result<[u64; 2], StoreError> {
+        let mut writer = self.writer.acquire().await?;
+        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut *writer).await?;
+        let before = self.file_bytes()?;
+        sqlx::query("VACUUM").execute(&mut *writer).await?;
+        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut *writer).await?;
+        Ok([before, self.file_bytes()?])
+    }
+
+    fn file_bytes(&self) -> Result<u64, StoreError> {
+        let metadata =
+            std::fs::metadata(&self.path).map_err(|error| StoreError::Io(sqlx::Error::Io(error)))?;
+        Ok(metadata.len())
+    }
+
     /// Folds the log into the database file.
     pub async fn checkpoint(&self) -> Result<(), StoreError> {
         let mut writer = self.writer.acquire().await?;
@@ -238,8 +279,15 @@ fn quiet(options: SqliteConnectOptions) -> SqliteConnectOptions {
 
 /// Looks at the schema's version before anything is written.
 async fn refuse_unknown_schema(path: &Path, options: &StoreOptions) -> Result<(), StoreError> {
+    let found = schema_of(path, &reading(path, options)).await?.unwrap_or(0);
+    let supported = Store::schema_version();
+    if found > supported { Err(StoreError::NewerSchema { found, supported }) } else { Ok(()) }
+}
+
+/// The schema's version; `None` of an empty file.
+async fn schema_of(path: &Path, options: &SqliteConnectOptions) -> Result<Option<i64>, StoreError> {
     let not_a_store = || StoreError::NotAStore { path: path.display().to_string() };
-    let mut connection = match SqliteConnection::connect_with(&reading(path, options)).await {
+    let mut connection = match SqliteConnection::connect_with(options).await {
         Ok(connection) => connection,
         Err(error) if is_not_a_database(&error) => return Err(not_a_store()),
         Err(error) => return Err(error.into()),
@@ -254,13 +302,12 @@ async fn refuse_unknown_schema(path: &Path, options: &StoreOptions) -> Result<()
     };
     if !tables.iter().any(|name| name == "_sqlx_migrations") {
         // A crash before the first migration leaves an empty file, which is as good as none.
-        return if tables.is_empty() { Ok(()) } else { Err(not_a_store()) };
+        return if tables.is_empty() { Ok(None) } else { Err(not_a_store()) };
     }
     let found: Option<i64> =
         sqlx::query_scalar("SELECT max(version) FROM _sqlx_migrations").fetch_one(&mut connection).await?;
     connection.close().await?;
-    let (found, supported) = (found.unwrap_or(0), Store::schema_version());
-    if found > supported { Err(StoreError::NewerSchema { found, supported }) } else { Ok(()) }
+    Ok(found)
 }
 
 /// A full disk while migrating is a full disk.

@@ -111,6 +111,23 @@ impl Store {
         });
         Ok(steps.try_flatten().boxed())
     }
+
+    /// How many poses of a kind each submap has.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn poses_by_submap(
+        &self,
+        session: &str,
+        kind: TrajectoryKind,
+    ) -> Result<BTreeMap<SubmapId, u64>, StoreError> {
+        let mut transaction = self.begin_read().await?;
+        let number = session_number(&mut transaction, session).await?;
+        let book = PoseBook::read(&mut transaction, number).await?;
+        let n_poses = poses_by_submap(&mut transaction, number, kind, &book).await?;
+        transaction.commit().await?;
+        Ok(n_poses)
+    }
 }
 
 /// How far a trajectory has been read.
@@ -199,22 +216,30 @@ async fn largest_submap(
     kind: TrajectoryKind,
     book: &PoseBook,
 ) -> Result<Option<SubmapId>, StoreError> {
+    let n_poses = poses_by_submap(connection, session, kind, book).await?;
+    let largest = n_poses.into_iter().max_by_key(|(submap, n)| (*n, std::cmp::Reverse(*submap)));
+    Ok(largest.map(|(submap, _)| submap))
+}
+
+async fn poses_by_submap(
+    connection: &mut SqliteConnection,
+    session: i64,
+    kind: TrajectoryKind,
+    book: &PoseBook,
+) -> Result<BTreeMap<SubmapId, u64>, StoreError> {
     let sql = match kind {
         TrajectoryKind::Frames => {
             "SELECT reference, count(*) FROM frames WHERE session = ? AND reference IS NOT NULL GROUP BY reference"
         }
         TrajectoryKind::Keyframes => "SELECT id, 1 FROM keyframes WHERE session = ?",
     };
-    let mut n_poses: BTreeMap<SubmapId, i64> = BTreeMap::new();
+    let mut n_poses: BTreeMap<SubmapId, u64> = BTreeMap::new();
     for row in sqlx::query(sql).bind(session).fetch_all(connection).await? {
         if let Some((submap, _)) = book.locate(keyframe_id(row.try_get(0)?)?, &Pose::identity()) {
-            *n_poses.entry(submap).or_default() += row.try_get::<i64, _>(1)?;
+            *n_poses.entry(submap).or_default() += from_column("a count", row.try_get(1)?)?;
         }
     }
-    Ok(n_poses
-        .into_iter()
-        .max_by_key(|(submap, n)| (*n, std::cmp::Reverse(*submap)))
-        .map(|(submap, _)| submap))
+    Ok(n_poses)
 }
 
 /// What one frame of a session came to.

@@ -2,10 +2,18 @@
 //! is decoded or allocated, and whatever is wrong comes back as a [`DecodeError`].
 
 mod convert;
+mod depth;
+mod format;
+#[cfg(test)]
+mod format_tests;
 mod jpeg;
+mod others;
 mod png;
 #[cfg(test)]
 mod tests;
+
+pub use depth::SampleDepth;
+pub use format::FileFormat;
 
 use crate::GrayImage;
 
@@ -14,7 +22,7 @@ use crate::GrayImage;
 pub enum PixelFormat {
     /// One byte a pixel.
     Gray8,
-    /// Two bytes a pixel, little-endian; the high byte is what is kept, rounded.
+    /// Two bytes a pixel, little-endian, of which a camera may use fewer than all bits: see [`SampleDepth`].
     Gray16,
     /// Red, green, blue.
     Rgb8,
@@ -58,7 +66,7 @@ pub enum EncodedImage<'a> {
     Png(&'a [u8]),
     /// A baseline or progressive JPEG file.
     Jpeg(&'a [u8]),
-    /// A PNG or JPEG file, told apart by its first bytes.
+    /// A file of any [`FileFormat`], told by its first bytes.
     Auto(&'a [u8]),
 }
 
@@ -139,8 +147,14 @@ pub enum DecodeError {
         actual: u64,
     },
     /// The bytes are of no image format known here.
-    #[error("the bytes are neither a PNG nor a JPEG image")]
+    #[error("the bytes are no image that is read: PNG, JPEG, BMP, WebP, TIFF, PGM and PPM are")]
     UnknownFormat,
+    /// The bytes are of a format that is known and not read.
+    #[error("the bytes are {format}, which is not read; convert it to JPEG or PNG")]
+    OtherFormat {
+        /// The format.
+        format: &'static str,
+    },
     /// The bytes are not of the format they were said to be.
     #[error("the bytes are not a {format} image")]
     WrongFormat {
@@ -163,8 +177,24 @@ pub enum DecodeError {
     },
 }
 
-/// Decodes `image` to gray (ITU-R BT.601 luma), refusing what is outside `limits` before decoding it.
+/// Decodes `image` to gray (ITU-R BT.601 luma), refusing what is outside `limits` before decoding it. Samples
+/// of 16 bits are scaled by what is there.
+///
+/// # Errors
+/// Why it cannot be decoded, a sentence for the client.
 pub fn decode_gray(image: &EncodedImage<'_>, limits: &DecodeLimits) -> Result<GrayImage, DecodeError> {
+    decode_gray_alike(image, limits, &mut SampleDepth::default())
+}
+
+/// As [`decode_gray`], the samples of 16 bits scaled as in the images of the same camera before.
+///
+/// # Errors
+/// Why it cannot be decoded, a sentence for the client.
+pub fn decode_gray_alike(
+    image: &EncodedImage<'_>,
+    limits: &DecodeLimits,
+    depth: &mut SampleDepth,
+) -> Result<GrayImage, DecodeError> {
     let data = match *image {
         EncodedImage::Raw { data, .. } | EncodedImage::Png(data) | EncodedImage::Jpeg(data) => data,
         EncodedImage::Auto(data) => data,
@@ -174,13 +204,17 @@ pub fn decode_gray(image: &EncodedImage<'_>, limits: &DecodeLimits) -> Result<Gr
     }
     match *image {
         EncodedImage::Raw { width, height, stride, format, data } => {
-            decode_raw(width, height, stride, format, data, limits)
+            decode_raw(width, height, stride, format, data, limits, depth)
         }
-        EncodedImage::Png(data) => png::decode(data, limits),
+        EncodedImage::Png(data) => png::decode(data, limits, depth),
         EncodedImage::Jpeg(data) => jpeg::decode(data, limits),
-        EncodedImage::Auto(data) if png::has_signature(data) => png::decode(data, limits),
-        EncodedImage::Auto(data) if jpeg::has_signature(data) => jpeg::decode(data, limits),
-        EncodedImage::Auto(_) => Err(DecodeError::UnknownFormat),
+        EncodedImage::Auto(data) => match FileFormat::of(data) {
+            Some(FileFormat::Png) => png::decode(data, limits, depth),
+            Some(FileFormat::Jpeg) => jpeg::decode(data, limits),
+            Some(other) => others::decode(other, data, limits, depth),
+            None => Err(format::other(data)
+                .map_or(DecodeError::UnknownFormat, |format| DecodeError::OtherFormat { format })),
+        },
     }
 }
 
@@ -208,6 +242,7 @@ fn decode_raw(
     format: PixelFormat,
     data: &[u8],
     limits: &DecodeLimits,
+    depth: &mut SampleDepth,
 ) -> Result<GrayImage, DecodeError> {
     limits.check_size(width, height)?;
     let row_bytes = u64::from(width) * format.bytes_per_pixel() as u64;
@@ -222,6 +257,13 @@ fn decode_raw(
         return Err(DecodeError::WrongLength { expected: least, actual });
     }
     let mut out = GrayImage::new(width, height);
+    if format == PixelFormat::Gray16 {
+        let rows = data.chunks(stride as usize).take(height as usize);
+        let rows = rows.flat_map(|row| row[..row_bytes as usize].as_chunks::<2>().0);
+        let samples: Vec<u16> = rows.map(|bytes| u16::from_le_bytes(*bytes)).collect();
+        depth.gray_of(&samples, 1, out.as_raw_mut());
+        return Ok(out);
+    }
     for (y, row) in data.chunks(stride as usize).take(height as usize).enumerate() {
         convert::raw_row_to_gray(&row[..row_bytes as usize], format, out.row_mut(y as u32));
     }

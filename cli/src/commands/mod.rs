@@ -4,6 +4,7 @@ mod bench;
 mod demo;
 mod evaluate;
 mod export;
+mod flags;
 mod local;
 mod output;
 mod picture;
@@ -13,6 +14,8 @@ mod sessions;
 mod stream;
 mod summary;
 mod trajectory;
+
+pub use flags::in_flags;
 
 use std::path::PathBuf;
 
@@ -84,11 +87,11 @@ impl ServerArgs {
     }
 
     async fn http(&self) -> Result<HttpClient> {
-        let address = match &self.http {
-            Some(address) => address.clone(),
-            None => self.connect().await?.http_address().await?,
-        };
-        Ok(HttpClient::with(address, &self.credentials()?)?)
+        let credentials = self.credentials()?;
+        Ok(match &self.http {
+            Some(address) => HttpClient::with(address.clone(), &credentials)?,
+            None => HttpClient::told(self.connect().await?.http_address().await?, &credentials)?,
+        })
     }
 
     fn credentials(&self) -> Result<Credentials> {

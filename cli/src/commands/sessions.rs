@@ -69,6 +69,10 @@ pub async fn run(args: SessionsArgs) -> Result<()> {
         Action::Delete { session, server } => {
             server.connect().await?.delete_session(&session).await?;
             println!("deleted {session}");
+            eprintln!(
+                "the database file stays as large; new sessions fill the room, and `monoslam-server compact` gives it \
+                 back while no server runs"
+            );
         }
     }
     Ok(())
@@ -129,6 +133,7 @@ fn as_json(session: &v1::Session) -> Value {
         "points": session.n_points, "lines": session.n_lines, "primitives": session.n_primitives,
         "submaps": session.n_submaps, "durable_sequence": session.durable_sequence,
         "next_sequence": session.next_sequence, "last_timestamp_ns": session.last_timestamp_ns,
+        "last_timestamp_ns_text": session.last_timestamp_ns.map(|ns| ns.to_string()),
         "metres_per_unit": session.metres_per_unit, "loaded": session.loaded, "has_writer": session.has_writer,
     })
 }

@@ -24,6 +24,10 @@ pub struct TrajectoryArgs {
     /// frames or keyframes
     #[arg(long, default_value = "frames")]
     kind: TrajectoryKind,
+    /// The submap whose poses are wanted; submaps do not share a frame of reference [default: the one with
+    /// the most, and in csv and json all]
+    #[arg(long, value_name = "N")]
+    submap: Option<u32>,
     /// File to write instead of standard output
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -35,14 +39,29 @@ pub async fn run(args: TrajectoryArgs) -> Result<()> {
     match &args.output {
         Some(path) => {
             let mut file = OutputFile::create(path)?;
-            let written = http.write_trajectory(&args.session, args.format, args.kind, &mut file).await;
-            written.with_context(|| format!("cannot fetch the trajectory into {}", path.display()))?;
-            file.finish()
+            let written =
+                http.write_trajectory(&args.session, args.format, args.kind, args.submap, &mut file).await;
+            let n_left_out =
+                written.with_context(|| format!("cannot fetch the trajectory into {}", path.display()))?;
+            file.finish()?;
+            tell_left_out(n_left_out);
         }
         None => {
             let mut out = io::stdout().lock();
-            http.write_trajectory(&args.session, args.format, args.kind, &mut out).await?;
-            Ok(out.flush()?)
+            let n_left_out =
+                http.write_trajectory(&args.session, args.format, args.kind, args.submap, &mut out).await?;
+            out.flush()?;
+            tell_left_out(n_left_out);
         }
+    }
+    Ok(())
+}
+
+fn tell_left_out(n_poses: u64) {
+    if n_poses > 0 {
+        eprintln!(
+            "{n_poses} poses are left out: they are in other submaps, with frames of reference of their own (--submap \
+             chooses one, --format csv has all)"
+        );
     }
 }

@@ -78,15 +78,30 @@ def test_folders_say_what_is_wrong(tmp_path: Path) -> None:
     (tmp_path / "rgb.txt").write_text("0.0 a.png\n")
     with pytest.raises(FrameError, match="cannot be understood: KeyError"):
         Folder.open(tmp_path)
-    with pytest.raises(FrameError, match="holds no PNG or JPEG"):
+    with pytest.raises(FrameError, match="holds no image files"):
         image_files(tmp_path, 30)
 
 
 def test_image_files_come_in_order(tmp_path: Path) -> None:
-    for name in ["b.png", "a.JPG", "c.txt"]:
+    for name in ["b.png", "a.JPG", "c.txt", "a10.webp", "a9.png"]:
         (tmp_path / name).touch()
-    frames = list(image_files(tmp_path, 10))
-    assert [(Path(str(f.image)).name, f.timestamp_ns) for f in frames] == [("a.JPG", 0), ("b.png", 10**8)]
+    names = [Path(str(frame.image)).name for frame in image_files(tmp_path, 10)]
+    assert names == ["a9.png", "a10.webp", "a.JPG", "b.png"]
+    assert [frame.timestamp_ns for frame in image_files(tmp_path, 10)] == [0, 10**8, 2 * 10**8, 3 * 10**8]
+
+
+def test_lists_may_have_marks_commas_and_blanks(tmp_path: Path) -> None:
+    (tmp_path / "my images").mkdir()
+    for name in ["my images/frame 1.png", "b.png", "c.png"]:
+        (tmp_path / name).touch()
+    (tmp_path / "calib.json").write_text(
+        '{"width": 4, "height": 4, "fx": 4, "fy": 4, "cx": 2, "cy": 2}', encoding="utf-8-sig"
+    )
+    text = "0.0 my images/frame 1.png\r\n0.1,b.png\r\n0.2 c.png 0.2 depth/c.png\r\n"
+    (tmp_path / "rgb.txt").write_text(text, encoding="utf-8-sig")
+    recording = Folder.open(tmp_path)
+    assert [file.name for file in recording.files] == ["frame 1.png", "b.png", "c.png"]
+    assert recording.times_ns == (0, 10**8, 2 * 10**8)
 
 
 def test_frames_are_paced() -> None:

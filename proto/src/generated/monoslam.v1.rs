@@ -352,7 +352,7 @@ pub struct Frame {
 pub struct Image {
     #[prost(enumeration = "ImageEncoding", tag = "1")]
     pub encoding: i32,
-    /// Needed for raw encodings; for PNG and JPEG they are read from the file.
+    /// Needed for raw encodings; of files they are read from the file.
     #[prost(uint32, tag = "2")]
     pub width: u32,
     #[prost(uint32, tag = "3")]
@@ -860,7 +860,7 @@ impl StreamPolicy {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
 #[repr(i32)]
 pub enum ImageEncoding {
-    /// PNG or JPEG, told by the first bytes.
+    /// An image file: PNG, JPEG, BMP, WebP, TIFF, PGM or PPM, told by the first bytes.
     Unspecified = 0,
     Png = 1,
     Jpeg = 2,

@@ -10,8 +10,11 @@ use std::path::{Path, PathBuf};
 use geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use geometry::{CameraModel, CameraParameters, Pose};
 
-use super::{Content, FrameFile, checked_camera, folder, listing};
-use crate::files::{FileError, TextFile};
+use super::options::Reading;
+use super::{Content, FrameFile, folder, listing};
+use crate::calibration::checked_camera;
+use crate::files::{FileError, Line, TextFile};
+use crate::units::TimeUnit;
 use crate::{StampedPose, Trajectory};
 
 const IMAGES: &str = "rgb";
@@ -27,7 +30,7 @@ pub(super) fn is_recording(root: &Path) -> bool {
         && (root.join(ASSOCIATIONS).is_file() || matches!(mirrored_ground_truth_file(root), Ok(Some(_))))
 }
 
-pub(super) fn read(root: &Path) -> Result<Content, FileError> {
+pub(super) fn read(root: &Path, reading: &Reading<'_>) -> Result<Content, FileError> {
     let parameters = CameraParameters {
         model: CameraModel::Pinhole,
         width: 640,
@@ -39,9 +42,9 @@ pub(super) fn read(root: &Path) -> Result<Content, FileError> {
         distortion: Vec::new(),
     };
     let frames = if root.join(LIST).is_file() {
-        listing::read(root, &root.join(LIST))?
+        listing::read(root, &root.join(LIST), reading)?
     } else if root.join(ASSOCIATIONS).is_file() {
-        associated_frames(root)?
+        associated_frames(root, reading)?
     } else {
         numbered_frames(&root.join(IMAGES))?
     };
@@ -49,7 +52,8 @@ pub(super) fn read(root: &Path) -> Result<Content, FileError> {
         Some(path) => Some(mirrored_trajectory(&path)?),
         None => folder::ground_truth(root)?,
     };
-    Ok(Content { camera: checked_camera(root, parameters)?, frames, ground_truth })
+    let camera = reading.camera(&frames, || checked_camera(root, parameters))?;
+    Ok(Content { camera, frames, ground_truth })
 }
 
 /// Time of the frame of that number, nanoseconds.
@@ -57,23 +61,29 @@ fn frame_time_ns(number: i64) -> Option<i64> {
     Some(number.checked_mul(1_000_000_000)? / FRAMES_PER_SECOND)
 }
 
-fn associated_frames(root: &Path) -> Result<Vec<FrameFile>, FileError> {
+fn associated_frames(root: &Path, reading: &Reading<'_>) -> Result<Vec<FrameFile>, FileError> {
     let file = TextFile::read(&root.join(ASSOCIATIONS))?;
-    let mut frames: Vec<FrameFile> = Vec::new();
+    let mut frames = Vec::new();
     for line in file.lines() {
-        let words = line.words();
-        // Either of the two files may come first.
-        let image = words.iter().position(|word| word.starts_with("rgb/"));
-        let Some(image) = image.filter(|position| *position > 0) else {
-            return Err(line.error("`number depth/number.png number rgb/number.png` expected"));
-        };
-        let number = words[image - 1].parse().ok().and_then(frame_time_ns);
-        let timestamp_ns = number
-            .ok_or_else(|| line.error(format!("`{}` is not the number of a frame", words[image - 1])))?;
-        listing::check_order(&line, frames.last(), timestamp_ns)?;
-        frames.push(FrameFile { timestamp_ns, path: listing::existing(&line, root.join(words[image]))? });
+        match associated_frame(root, &line) {
+            Ok(frame) => frames.push((line, frame)),
+            Err(error) => reading.bad_line(error)?,
+        }
     }
-    Ok(frames)
+    listing::in_order(frames, reading)
+}
+
+fn associated_frame(root: &Path, line: &Line<'_>) -> Result<FrameFile, FileError> {
+    let words = line.words();
+    // Either of the two files may come first.
+    let image = words.iter().position(|word| word.starts_with("rgb/"));
+    let Some(image) = image.filter(|position| *position > 0) else {
+        return Err(line.error("`number depth/number.png number rgb/number.png` expected"));
+    };
+    let number = words[image - 1].parse().ok().and_then(frame_time_ns);
+    let timestamp_ns =
+        number.ok_or_else(|| line.error(format!("`{}` is not the number of a frame", words[image - 1])))?;
+    Ok(FrameFile { timestamp_ns, path: listing::existing(line, root.join(words[image]))? })
 }
 
 /// The images named by a number alone, in the order of their numbers.
@@ -106,7 +116,7 @@ fn mirrored_ground_truth_file(root: &Path) -> Result<Option<PathBuf>, FileError>
 }
 
 fn mirrored_trajectory(path: &Path) -> Result<Trajectory, FileError> {
-    let in_renderer_frame = Trajectory::read(path)?;
+    let in_renderer_frame = Trajectory::read_as(path, Some(TimeUnit::Seconds))?.trajectory;
     let poses = in_renderer_frame.poses().iter().map(|pose| StampedPose {
         // Written as seconds, the numbers of frames were read as such.
         timestamp_ns: pose.timestamp_ns / FRAMES_PER_SECOND,

@@ -9,25 +9,25 @@ use geometry::nalgebra::Vector3;
 use super::*;
 
 /// A temporary folder that is filled file by file.
-struct Folder(tempfile::TempDir);
+pub(super) struct Folder(tempfile::TempDir);
 
 impl Folder {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self(tempfile::tempdir().unwrap())
     }
 
-    fn root(&self) -> &Path {
+    pub(super) fn root(&self) -> &Path {
         self.0.path()
     }
 
-    fn file(&self, name: &str, content: &str) -> &Self {
+    pub(super) fn file(&self, name: &str, content: &str) -> &Self {
         let path = self.root().join(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, content).unwrap();
         self
     }
 
-    fn image(&self, name: &str, width: u32, height: u32) -> &Self {
+    pub(super) fn image(&self, name: &str, width: u32, height: u32) -> &Self {
         let path = self.root().join(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         image::GrayImage::new(width, height).save(path).unwrap();
@@ -104,13 +104,15 @@ fn a_folder_with_calib_json_is_read() {
 fn mistakes_are_reported_with_file_and_line() {
     let folder = folder();
     folder.file("rgb.txt", "1.0 images/a.png\n1.0 images/b.png\n");
+    let refused = message(folder.root(), None);
     assert!(
-        message(folder.root(), None).ends_with("rgb.txt:2: the time is not after that of the line before")
+        refused.contains("rgb.txt:2: the time is not after that of the line before (--skip-bad"),
+        "{refused}"
     );
     folder.file("rgb.txt", "1.0 images/a.png\n\n# c\n1.1 images/z.png\n");
     assert!(message(folder.root(), None).contains("rgb.txt:4: there is no image"));
     folder.file("rgb.txt", "one images/a.png\n");
-    assert!(message(folder.root(), None).ends_with("rgb.txt:1: `one` is not a time in seconds"));
+    assert!(message(folder.root(), None).ends_with("rgb.txt:1: `one` is not a time"));
     folder.file("rgb.txt", "# nothing\n");
     assert!(message(folder.root(), None).contains("no images"));
     folder.file("rgb.txt", "1.0 images/a.png\n");
@@ -177,7 +179,9 @@ fn euroc_ground_truth_is_that_of_the_camera() {
 
     assert_eq!(Recording::open(&folder.root().join("mav0"), None).unwrap().layout, Layout::Euroc);
     folder.file("mav0/cam0/sensor.yaml", &SENSOR.replace("intrinsics: [8.0,", "intrinsics: [x,"));
-    assert!(message(folder.root(), None).contains("sensor.yaml: `x` in `intrinsics` is not a finite number"));
+    assert!(
+        message(folder.root(), None).contains("sensor.yaml:13: `x` in `intrinsics` is not a finite number")
+    );
     folder.file("mav0/cam0/sensor.yaml", &SENSOR.replace("radial-tangential", "omni"));
     assert!(message(folder.root(), None).contains("`omni` is not supported"));
 }

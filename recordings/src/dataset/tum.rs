@@ -4,10 +4,12 @@ use std::path::Path;
 
 use geometry::{CameraModel, CameraParameters};
 
-use super::{Content, checked_camera, folder, listing};
+use super::options::Reading;
+use super::{Content, folder, listing};
+use crate::calibration::checked_camera;
 use crate::files::{FileError, TextFile};
 
-const LIST: &str = "rgb.txt";
+const LIST: &str = folder::LIST;
 
 /// The calibrations of the color images published with the data set: `fx fy cx cy`, then `k1 k2 p1 p2 k3`.
 /// The images of Freiburg 3 are published undistorted.
@@ -21,19 +23,17 @@ pub(super) fn is_recording(root: &Path) -> bool {
     root.join(LIST).is_file() && calibration(root).is_some()
 }
 
-pub(super) fn read(root: &Path) -> Result<Content, FileError> {
+pub(super) fn read(root: &Path, reading: &Reading<'_>) -> Result<Content, FileError> {
     let list = root.join(LIST);
-    let Some(parameters) = calibration(root) else {
-        return Err(FileError::content(
+    let frames = listing::read(root, &list, reading)?;
+    let camera = reading.camera(&frames, || match calibration(root) {
+        Some(parameters) => checked_camera(&list, parameters),
+        None => Err(FileError::content(
             root,
             "neither the folder's name nor the comments of rgb.txt say freiburg1, freiburg2 or freiburg3",
-        ));
-    };
-    Ok(Content {
-        camera: checked_camera(&list, parameters)?,
-        frames: listing::read(root, &list)?,
-        ground_truth: folder::ground_truth(root)?,
-    })
+        )),
+    })?;
+    Ok(Content { camera, frames, ground_truth: folder::ground_truth(root)? })
 }
 
 /// The calibration of the camera named by the folder, or by the comments with which `rgb.txt` begins.

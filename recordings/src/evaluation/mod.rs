@@ -6,10 +6,16 @@
 
 mod alignment;
 mod association;
+mod hints;
+mod offset;
 mod pose_errors;
 mod report;
+mod segments;
 
 pub use alignment::Alignment;
 pub use association::{Match, associate};
+pub use hints::hints;
+pub use offset::{TimeOffset, find_offset};
 pub use pose_errors::{PoseError, pose_errors};
 pub use report::{Evaluation, EvaluationError, EvaluationOptions, evaluate};
+pub use segments::SegmentErrors;

@@ -5,6 +5,7 @@ use geometry::{Pose, Similarity, so3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::segments::{SegmentErrors, segment_errors};
 use super::{Alignment, Match, associate};
 use crate::Trajectory;
 
@@ -40,6 +41,9 @@ pub struct Evaluation {
     pub poses: usize,
     /// Estimated poses with a true pose at the same time.
     pub matched: usize,
+    /// `matched / poses`: the other figures speak of these alone.
+    #[serde(default)]
+    pub matched_share: f64,
     /// `poses / frames`: a short trajectory flatters the other figures.
     pub coverage: f64,
     /// Root mean square distance of the positions after alignment: the absolute trajectory error.
@@ -68,6 +72,9 @@ pub struct Evaluation {
     pub path: f64,
     /// `ate_rmse` in percent of `path`; absent when there is no path.
     pub ate_percent_of_path: Option<f64>,
+    /// Errors of segments of 100 to 800 m, as the KITTI benchmark has them; absent if the path is shorter.
+    #[serde(default)]
+    pub segments: Option<SegmentErrors>,
 }
 
 /// Why two trajectories cannot be compared.
@@ -136,6 +143,7 @@ pub fn evaluate(
         frames,
         poses: estimate.len(),
         matched: matches.len(),
+        matched_share: matches.len() as f64 / estimate.len().max(1) as f64,
         coverage: estimate.len() as f64 / frames.max(1) as f64,
         ate_rmse,
         ate_mean: distances.iter().sum::<f64>() / distances.len() as f64,
@@ -148,6 +156,7 @@ pub fn evaluate(
         scale_drift: scale_drift(&true_positions, &estimated_positions),
         path,
         ate_percent_of_path: (path > 0.0).then(|| 100.0 * ate_rmse / path),
+        segments: segment_errors(&pairs.truth, &pairs.estimate, truth_from_estimate.scale),
     })
 }
 

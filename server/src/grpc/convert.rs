@@ -6,15 +6,15 @@ use crate::model::{Pose, Scale, Units};
 use crate::options::{SessionOptions, convert_options};
 use crate::service::NewSession;
 use crate::session::{
-    Answer, Before, Encoding, Located, MapChange, Mode, OpenRequest, Policy, Rejection, Reply, SentFrame,
-    SentImage, SessionEvent, SessionView,
+    Answer, Before, Encoding, FrameOutcome, Located, MapChange, Mode, OpenRequest, Policy, Rejection, Reply,
+    SentFrame, SentImage, SessionEvent, SessionView,
 };
 use crate::watch::Watched;
 use geometry::{CameraModel, CameraParameters, PinholeCorrection};
 use proto::v1;
 use proto::v1::session_event::Event;
 use proto::v1::stream_frames_response::Message;
-use slam::FrameReport;
+
 use slam::map::{FrameState, KeyframeId};
 use std::time::Instant;
 use store::MAX_SEQUENCE;
@@ -82,7 +82,7 @@ pub(super) fn session_event(watched: Watched) -> Option<v1::SessionEvent> {
     Some(v1::SessionEvent { event: Some(event) })
 }
 
-fn frame_event(report: &FrameReport, metres_per_unit: Option<f64>) -> v1::FrameEvent {
+fn frame_event(report: &FrameOutcome, metres_per_unit: Option<f64>) -> v1::FrameEvent {
     let result = frame_result(report, metres_per_unit);
     v1::FrameEvent {
         sequence: result.sequence,
@@ -293,13 +293,13 @@ fn repeated(
     }
 }
 
-fn frame_result(report: &FrameReport, metres_per_unit: Option<f64>) -> v1::FrameResult {
+fn frame_result(report: &FrameOutcome, metres_per_unit: Option<f64>) -> v1::FrameResult {
     let units = Units::new(metres_per_unit);
     v1::FrameResult {
         sequence: report.sequence,
         timestamp_ns: report.timestamp_ns,
         state: tracking_state(report.outcome.state()).into(),
-        reason: report.outcome.reason(),
+        reason: report.reason(),
         pose_world_from_camera: report.world_from_camera.as_ref().map(|camera| pose(units.pose(camera))),
         scale: scale(units.scale()).into(),
         submap_id: report.submap.0,

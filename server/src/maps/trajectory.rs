@@ -3,6 +3,8 @@
 use super::{Batches, MapQueries, Scaled, SubmapChoice, TrajectoryKind, TrajectoryPose, batches};
 use crate::error::ApiError;
 use crate::session::SessionId;
+use slam::map::SubmapId;
+use std::collections::BTreeMap;
 use store::TrajectoryFilter;
 
 /// Which poses of a trajectory are wanted.
@@ -19,6 +21,18 @@ pub struct TrajectoryQuery {
 }
 
 impl MapQueries {
+    /// How many poses of a kind each submap has.
+    ///
+    /// # Errors
+    /// If there is no such session.
+    pub async fn poses_by_submap(
+        &self,
+        id: &SessionId,
+        kind: TrajectoryKind,
+    ) -> Result<BTreeMap<SubmapId, u64>, ApiError> {
+        Ok(self.store.poses_by_submap(id.as_str(), kind).await?)
+    }
+
     /// The wanted poses in the order of their times, as the map stands now.
     ///
     /// # Errors

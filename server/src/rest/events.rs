@@ -5,13 +5,13 @@ use super::model::Session;
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::model::{Pose, Scale, State as TrackingState, Units};
-use crate::session::{MapChange, SessionEvent};
+use crate::session::{FrameOutcome, MapChange, SessionEvent};
 use crate::watch::{Watched, watch};
 use axum::extract::{Path, State};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use geometry::PinholeCorrection;
 use serde::Serialize;
-use slam::FrameReport;
+
 use slam::map::{KeyframeId, PrimitiveId};
 use std::convert::Infallible;
 use tokio_stream::wrappers::ReceiverStream;
@@ -133,12 +133,12 @@ pub(super) struct MissedEvent {
 
 impl FrameEvent {
     /// Of what the engine reports, in a session of these units.
-    pub(super) fn new(report: &FrameReport, units: Units) -> Self {
+    pub(super) fn new(report: &FrameOutcome, units: Units) -> Self {
         Self {
             sequence: report.sequence,
             timestamp_ns: report.timestamp_ns,
             state: report.outcome.state().into(),
-            reason: report.outcome.reason(),
+            reason: report.reason(),
             world_from_camera: report.world_from_camera.as_ref().map(|pose| units.pose(pose)),
             scale: units.scale(),
             submap_id: report.submap.0,

@@ -4,10 +4,13 @@ use crate::access::Caller;
 use crate::error::{ApiError, ErrorCode};
 use crate::page::PageRequest;
 use axum::Json;
+use axum::extract::multipart::{Multipart, MultipartError};
 use axum::extract::rejection::JsonRejection;
 use axum::extract::{FromRequest, FromRequestParts, Query, Request};
+use axum::http::header::CONTENT_TYPE;
 use axum::http::request::Parts;
 use axum::http::{StatusCode, Uri};
+use bytes::Bytes;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use utoipa::IntoParams;
@@ -41,6 +44,10 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Body<T> {
 fn body_error(rejection: &JsonRejection) -> ApiError {
     if rejection.status() == StatusCode::PAYLOAD_TOO_LARGE {
         return ApiError::new(ErrorCode::MessageTooLarge, rejection.body_text());
+    }
+    if rejection.status() == StatusCode::UNSUPPORTED_MEDIA_TYPE {
+        let sentence = "a JSON body is needed, with the header `content-type: application/json`";
+        return ApiError::new(ErrorCode::UnsupportedMediaType, sentence);
     }
     ApiError::invalid("body", rejection.body_text())
 }
@@ -111,6 +118,59 @@ pub fn numbers<const N: usize>(field: &str, text: &str, form: &str) -> Result<[f
         .ok_or_else(|| {
             ApiError::invalid(field, format!("must be {form}, {N} finite numbers with commas between"))
         })
+}
+
+/// A file in a body: the body itself, whatever image it is said to be, since its bytes tell; or, of a form,
+/// its part of that name, else its first with a file.
+///
+/// # Errors
+/// If the body is said to be something else than an image, is too large, or cannot be read.
+pub async fn file_of(request: Request, part: &str) -> Result<Bytes, ApiError> {
+    let said = request.headers().get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    let essence = said.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+    match essence.as_str() {
+        "multipart/form-data" => part_of(request, part).await,
+        // The second is what curl says of any data that it is not told of.
+        "" | "application/x-www-form-urlencoded" | "application/octet-stream" | "binary/octet-stream" => {
+            body_of(request).await
+        }
+        image if image.starts_with("image/") => body_of(request).await,
+        other => {
+            let sentence =
+                format!("{other:?} is no image: send the file with a type such as image/jpeg, or in a form");
+            Err(ApiError::new(ErrorCode::UnsupportedMediaType, sentence))
+        }
+    }
+}
+
+const FILE_TOO_LARGE: &str = "the image is larger than the server takes";
+
+async fn body_of(request: Request) -> Result<Bytes, ApiError> {
+    Bytes::from_request(request, &()).await.map_err(|rejection| match rejection.status() {
+        StatusCode::PAYLOAD_TOO_LARGE => ApiError::new(ErrorCode::MessageTooLarge, FILE_TOO_LARGE),
+        _ => ApiError::invalid("body", rejection.body_text()),
+    })
+}
+
+async fn part_of(request: Request, wanted: &str) -> Result<Bytes, ApiError> {
+    let refused = |error: MultipartError| match error.status() {
+        StatusCode::PAYLOAD_TOO_LARGE => ApiError::new(ErrorCode::MessageTooLarge, FILE_TOO_LARGE),
+        _ => ApiError::invalid("body", error.body_text()),
+    };
+    let form = Multipart::from_request(request, &()).await;
+    let mut form = form.map_err(|rejection| ApiError::invalid("body", rejection.body_text()))?;
+    let mut first = None;
+    while let Some(part) = form.next_field().await.map_err(refused)? {
+        let (is_wanted, is_file) = (part.name() == Some(wanted), part.file_name().is_some());
+        if is_wanted {
+            return part.bytes().await.map_err(refused);
+        }
+        if is_file && first.is_none() {
+            first = Some(part.bytes().await.map_err(refused)?);
+        }
+    }
+    first
+        .ok_or_else(|| ApiError::invalid(wanted, format!("the form has no file: send it as part {wanted:?}")))
 }
 
 #[cfg(test)]

@@ -1,16 +1,12 @@
 //! One image against a stored map.
 
-use super::extract::AskedBy;
+use super::extract::{AskedBy, file_of};
 use super::{App, ProblemDetails};
-use crate::error::{ApiError, ErrorCode};
+use crate::error::ApiError;
 use crate::model::{Pose, Scale, State as TrackingState, Units};
 use crate::session::{Encoding, Located, SentImage};
 use axum::Json;
-use axum::extract::rejection::BytesRejection;
-use axum::extract::{Path, State};
-use axum::http::header::CONTENT_TYPE;
-use axum::http::{HeaderMap, StatusCode};
-use bytes::Bytes;
+use axum::extract::{Path, Request, State};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -47,7 +43,7 @@ impl From<Located> for Location {
         let units = Units::new(metres_per_unit);
         Self {
             state: report.outcome.state().into(),
-            reason: report.outcome.reason(),
+            reason: report.reason(),
             world_from_camera: report.world_from_camera.as_ref().map(|pose| units.pose(pose)),
             scale: units.scale(),
             submap_id: report.submap.0,
@@ -62,15 +58,19 @@ impl From<Located> for Location {
 }
 
 /// Locates one image in the session's map, as of its last commit, without changing anything; also while a
-/// client streams into the session. The body is the image file.
+/// client streams into the session. The body is the image file, or a form with it as the part `image`; its
+/// bytes tell its format.
 #[utoipa::path(post, path = "/v1/sessions/{id}/localize", tag = "maps",
     params(("id", description = "The session's id")),
-    request_body(content((Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg")), description = "A PNG or JPEG file of the \
-        size of the session's camera"),
+    request_body(content((Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg"), (Vec<u8> = "image/bmp"),
+        (Vec<u8> = "image/webp"), (Vec<u8> = "image/tiff"), (Vec<u8> = "image/x-portable-anymap"),
+        (Vec<u8> = "application/octet-stream"), (Vec<u8> = "multipart/form-data")),
+        description = "An image file of the size of the session's camera"),
     responses(
     (status = 200, description = "Where it was taken, or why that is not known", body = Location),
     (status = 400, description = "The image cannot be used", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 415, description = "The body is said to be something else than an image", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 413, description = "The image is too large", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 429, description = "Too many wait", body = ProblemDetails, content_type = "application/problem+json")
 ))]
@@ -78,23 +78,10 @@ pub(super) async fn localize(
     State(app): State<App>,
     AskedBy(caller): AskedBy,
     Path(id): Path<String>,
-    headers: HeaderMap,
-    body: Result<Bytes, BytesRejection>,
+    request: Request,
 ) -> Result<Json<Location>, ApiError> {
     let id = caller.session(&id, "id")?;
-    let media_type = headers.get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
-    let encoding = match media_type {
-        "image/png" => Encoding::Png,
-        "image/jpeg" => Encoding::Jpeg,
-        "" | "application/octet-stream" => Encoding::Auto,
-        _ => return Err(ApiError::invalid("content-type", "must be image/png or image/jpeg")),
-    };
-    let data = body.map_err(|rejection| {
-        if rejection.status() == StatusCode::PAYLOAD_TOO_LARGE {
-            return ApiError::new(ErrorCode::MessageTooLarge, "the image is larger than the server takes");
-        }
-        ApiError::invalid("body", rejection.body_text())
-    })?;
-    let image = SentImage { encoding, width: 0, height: 0, row_stride: 0, data };
+    let data = file_of(request, "image").await?;
+    let image = SentImage { encoding: Encoding::Auto, width: 0, height: 0, row_stride: 0, data };
     Ok(Json(app.service.localize(&id, image).await?.into()))
 }

@@ -51,6 +51,8 @@ pub struct Session {
     pub refined_camera: Option<Camera>,
     /// The session's options.
     pub options: SessionOptions,
+    /// What is doubtful about the camera without keeping it from being used, in plain sentences.
+    pub camera_warnings: Vec<String>,
     /// Wall-clock time of creation, nanoseconds since 1970.
     pub created_at_ns: i64,
     /// How tracking its last frame ended; `null` before the first.
@@ -77,6 +79,8 @@ pub struct Session {
     pub next_sequence: u64,
     /// Time of the last frame, nanoseconds: later ones must be after it; `null` before the first.
     pub last_timestamp_ns: Option<i64>,
+    /// The same in text, for programs whose numbers do not hold all its digits, such as JavaScript's.
+    pub last_timestamp_ns_text: Option<String>,
     /// Whether the session is in memory.
     pub loaded: bool,
     /// Whether a writer is connected.
@@ -108,6 +112,8 @@ impl From<SessionView> for Session {
     fn from(view: SessionView) -> Self {
         Self {
             id: view.id,
+            camera_warnings: geometry::Camera::new(view.camera.clone())
+                .map_or_else(|_| Vec::new(), |c| c.warnings()),
             camera: view.camera.into(),
             refined_camera: view.refined_camera.map(Camera::from),
             options: view.options,
@@ -124,6 +130,7 @@ impl From<SessionView> for Session {
             durable_sequence: view.durable_sequence,
             next_sequence: view.next_sequence,
             last_timestamp_ns: view.last_timestamp_ns,
+            last_timestamp_ns_text: view.last_timestamp_ns.map(|ns| ns.to_string()),
             loaded: view.loaded,
             has_writer: view.has_writer,
         }

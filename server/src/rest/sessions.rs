@@ -8,6 +8,8 @@ use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::header::LOCATION;
 use axum::http::{HeaderName, StatusCode};
+use serde::Serialize;
+use utoipa::ToSchema;
 
 /// Sessions in the order of their ids.
 #[utoipa::path(get, path = "/v1/sessions", tag = "sessions", params(PageParams), responses(
@@ -104,9 +106,19 @@ pub(super) async fn optimize(
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// Deletes a session with its map.
+/// What became of a session that was deleted.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub(super) struct Deleted {
+    /// The session's name, which is free again.
+    id: String,
+    /// What becomes of the room it took.
+    note: &'static str,
+}
+
+/// Deletes a session with its map. The database file stays as large: new sessions fill the room, and
+/// `monoslam-server compact` gives it back to the file system while no server runs.
 #[utoipa::path(delete, path = "/v1/sessions/{id}", tag = "sessions", params(("id", description = "The session's id")), responses(
-    (status = 204, description = "It is gone"),
+    (status = 200, description = "It is gone", body = Deleted),
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 409, description = "A writer is connected", body = ProblemDetails, content_type = "application/problem+json")
 ))]
@@ -114,7 +126,9 @@ pub(super) async fn delete(
     State(app): State<App>,
     AskedBy(caller): AskedBy,
     Path(id): Path<String>,
-) -> Result<StatusCode, ApiError> {
+) -> Result<Json<Deleted>, ApiError> {
     app.service.delete_session(&caller, &caller.session(&id, "id")?).await?;
-    Ok(StatusCode::NO_CONTENT)
+    let note = "the database file stays as large; new sessions fill the room, and `monoslam-server compact` gives it \
+                back while no server runs";
+    Ok(Json(Deleted { id, note }))
 }

@@ -1,7 +1,7 @@
 //! Frames over a WebSocket, for clients that cannot speak gRPC, such as a page in a browser.
 //!
 //! Each binary message of the client is a frame: its number (`u64`), its time in nanoseconds (`i64`), both
-//! little-endian, then a PNG or JPEG file. The server's messages are JSON with a `type`: `opened` first, then
+//! little-endian, then an image file. The server's messages are JSON with a `type`: `opened` first, then
 //! one of `result`, `repeated`, `dropped` or `rejected` for each frame, in the order of arrival; `error` ends
 //! the stream. The text message `finish` says that there are no more frames: what is on its way is answered,
 //! the map saved, and the socket closed.
@@ -117,7 +117,7 @@ pub(super) enum StreamMessage {
 }
 
 /// Streams frames into the session over a WebSocket. Binary messages are frames: number (u64) and time in
-/// nanoseconds (i64), little-endian, then a PNG or JPEG file; numbers count up from the session's
+/// nanoseconds (i64), little-endian, then an image file; numbers count up from the session's
 /// `next_sequence`. Each is answered with a JSON message; the text message `finish` ends the stream.
 #[utoipa::path(get, path = "/v1/sessions/{id}/stream", tag = "sessions",
     params(("id", description = "The session's id"), Wanted), responses(

@@ -7,11 +7,13 @@ use crate::maps::{SubmapChoice, TrajectoryKind, TrajectoryPose, TrajectoryQuery}
 use crate::model::{Pose, Scale, State as TrackingState};
 use axum::body::Body;
 use axum::extract::{Path, State};
+use axum::http::HeaderName;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use slam::map::SubmapId;
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use tokio_stream::StreamExt;
 use utoipa::{IntoParams, ToSchema};
@@ -56,7 +58,10 @@ pub(super) struct Wanted {
     #[param(inline)]
     kind: Kind,
     /// Poses of this submap only; submaps do not share a frame of reference. By default all submaps in `csv`
-    /// and `json`, which name each pose's, and in the other formats the one with the most poses.
+    /// and `json`, which name each pose's, and in the other formats the one with the most poses; how many are
+    /// left out then is told in the header `x-monoslam-poses-left-out`, and in TUM and EuRoC files in a
+    /// comment.
+    #[serde(alias = "submap")]
     submap_id: Option<u32>,
     /// First time, nanoseconds.
     from_timestamp_ns: Option<i64>,
@@ -88,10 +93,14 @@ pub(super) async fn trajectory(
         to_timestamp_ns: wanted.to_timestamp_ns,
         submaps: wanted.submap_id.map_or(wanted.format.submaps(), |id| SubmapChoice::One(SubmapId(id))),
     };
+    let left_out = match query.submaps {
+        SubmapChoice::Largest => LeftOut::of(&app.service.maps().poses_by_submap(&id, query.kind).await?),
+        _ => LeftOut::default(),
+    };
     let answer = app.service.maps().trajectory(&id, &query).await?;
 
     let mut writer = TrajectoryWriter::new(wanted.format);
-    let head = writer.head(&id.to_string(), answer.scale);
+    let head = left_out.comment(wanted.format) + &writer.head(&id.to_string(), answer.scale);
     let tail = writer.tail();
     let body = answer
         .value
@@ -99,7 +108,57 @@ pub(super) async fn trajectory(
     let whole = tokio_stream::once(Ok(head)).chain(body).chain(tokio_stream::once(Ok(tail)));
     let chunks = whole.filter(|chunk| !matches!(chunk, Ok(text) if text.is_empty()));
     let chunks = chunks.map(|chunk| chunk.map(Bytes::from));
-    Ok(([(CONTENT_TYPE, wanted.format.media_type())], Body::from_stream(chunks)))
+    let headers = [
+        (CONTENT_TYPE, wanted.format.media_type().to_owned()),
+        (POSES_LEFT_OUT, left_out.n_poses.to_string()),
+    ];
+    Ok((headers, Body::from_stream(chunks)))
+}
+
+/// The header that tells how many poses a trajectory does not have, of submaps that are not the largest.
+const POSES_LEFT_OUT: HeaderName = HeaderName::from_static("x-monoslam-poses-left-out");
+
+/// What is not written of a session with several frames of reference.
+#[derive(Debug, Default, PartialEq, Eq)]
+struct LeftOut {
+    n_poses: u64,
+    n_all: u64,
+    /// The submaps that have them, and how many.
+    submaps: Vec<(SubmapId, u64)>,
+}
+
+/// Submaps named in a comment.
+const MAX_NAMED: usize = 8;
+
+impl LeftOut {
+    fn of(n_poses: &BTreeMap<SubmapId, u64>) -> Self {
+        let mut submaps: Vec<(SubmapId, u64)> = n_poses.iter().map(|(submap, n)| (*submap, *n)).collect();
+        submaps.sort_by_key(|(submap, n)| (std::cmp::Reverse(*n), *submap));
+        let n_all = submaps.iter().map(|(_, n)| n).sum();
+        submaps.drain(..submaps.len().min(1));
+        Self { n_poses: submaps.iter().map(|(_, n)| n).sum(), n_all, submaps }
+    }
+
+    /// A line that readers of the format pass over.
+    fn comment(&self, format: Format) -> String {
+        if self.n_poses == 0 || !matches!(format, Format::Tum | Format::Euroc) {
+            return String::new();
+        }
+        let named: Vec<String> = self
+            .submaps
+            .iter()
+            .take(MAX_NAMED)
+            .map(|(submap, n)| format!("submap={submap} has {n}"))
+            .collect();
+        let more = if self.submaps.len() > MAX_NAMED { ", …" } else { "" };
+        format!(
+            "# {} of {} poses; {} are left out, in frames of reference of their own: {}{more}\n",
+            self.n_all - self.n_poses,
+            self.n_all,
+            self.n_poses,
+            named.join(", ")
+        )
+    }
 }
 
 impl Format {
@@ -251,6 +310,21 @@ mod tests {
         let quaternion: Vec<f64> = fields[4..].iter().map(|field| field.parse().unwrap()).collect();
         let half = std::f64::consts::FRAC_1_SQRT_2;
         assert!(quaternion.iter().zip([0.0, 0.0, half, half]).all(|(a, b)| (a - b).abs() < 1e-12));
+    }
+
+    #[test]
+    fn what_is_left_out_is_told() {
+        let of =
+            |counts: &[(u32, u64)]| LeftOut::of(&counts.iter().map(|(id, n)| (SubmapId(*id), *n)).collect());
+        let two = of(&[(0, 122), (1, 149)]);
+        let comment =
+            "# 149 of 271 poses; 122 are left out, in frames of reference of their own: submap=0 has 122\n";
+        assert_eq!(two.comment(Format::Tum), comment);
+        assert_eq!((two.n_poses, two.comment(Format::Kitti).as_str()), (122, ""));
+        assert_eq!(
+            (of(&[(3, 9)]).comment(Format::Tum), of(&[]).comment(Format::Tum)),
+            (String::new(), String::new())
+        );
     }
 
     #[test]

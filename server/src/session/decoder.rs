@@ -6,7 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::SyncSender;
 use std::time::Instant;
 use vision::GrayImage;
-use vision::decode::{DecodeError, DecodeLimits, decode_gray};
+use vision::decode::{DecodeError, DecodeLimits, SampleDepth, decode_gray_alike};
 
 /// What tracking takes, in the order of arrival.
 #[derive(Debug)]
@@ -15,6 +15,8 @@ pub enum Decoded {
     Frame {
         /// The frame for the engine.
         frame: slam::Frame,
+        /// The gray of its brightest pixel.
+        brightest: u8,
         /// The image as it was sent, to be kept with a keyframe.
         sent: SentImage,
         /// When it arrived.
@@ -26,11 +28,17 @@ pub enum Decoded {
     Rejected(Rejection),
 }
 
-/// Decodes what the queue holds until it ends or nobody listens any more.
-pub fn run(queue: &FrameQueue, limits: &DecodeLimits, decoded: &SyncSender<Decoded>) {
+/// Decodes what the queue holds until it ends or nobody listens any more. Samples of 16 bits are scaled as in
+/// the session's images before, of which `depth` knows.
+pub fn run(
+    queue: &FrameQueue,
+    limits: &DecodeLimits,
+    depth: &mut SampleDepth,
+    decoded: &SyncSender<Decoded>,
+) {
     while let Some(item) = queue.pop_blocking() {
         let item = match item {
-            Queued::Frame(frame) => decode(frame, limits),
+            Queued::Frame(frame) => decode(frame, limits, depth),
             Queued::Dropped(sequence) => Decoded::Dropped(sequence),
             Queued::Rejected(rejection) => Decoded::Rejected(rejection),
         };
@@ -40,12 +48,13 @@ pub fn run(queue: &FrameQueue, limits: &DecodeLimits, decoded: &SyncSender<Decod
     }
 }
 
-fn decode(frame: SentFrame, limits: &DecodeLimits) -> Decoded {
+fn decode(frame: SentFrame, limits: &DecodeLimits, depth: &mut SampleDepth) -> Decoded {
     let SentFrame { sequence, timestamp_ns, image: sent, arrived } = frame;
-    match decode_image(&sent, limits) {
+    match decode_image(&sent, limits, depth) {
         Ok(image) => {
+            let brightest = brightest(&image);
             let frame = slam::Frame { sequence, timestamp_ns, image };
-            Decoded::Frame { frame, sent, arrived }
+            Decoded::Frame { frame, brightest, sent, arrived }
         }
         Err(ImageRefusal { field, reason, code }) => {
             Decoded::Rejected(Rejection { sequence, field, reason, code })
@@ -64,13 +73,22 @@ pub struct ImageRefusal {
     pub code: &'static str,
 }
 
+/// The gray of an image's brightest pixel.
+pub fn brightest(image: &GrayImage) -> u8 {
+    image.as_raw().iter().copied().max().unwrap_or(0)
+}
+
 /// The gray image that was sent.
 ///
 /// # Errors
 /// If it cannot be decoded or is larger than is accepted.
-pub fn decode_image(sent: &SentImage, limits: &DecodeLimits) -> Result<GrayImage, ImageRefusal> {
+pub fn decode_image(
+    sent: &SentImage,
+    limits: &DecodeLimits,
+    depth: &mut SampleDepth,
+) -> Result<GrayImage, ImageRefusal> {
     // The decoders promise not to panic; a file that breaks the promise costs its own frame, not the session.
-    match catch_unwind(AssertUnwindSafe(|| decode_gray(&sent.as_encoded(), limits))) {
+    match catch_unwind(AssertUnwindSafe(|| decode_gray_alike(&sent.as_encoded(), limits, depth))) {
         Ok(Ok(image)) => Ok(image),
         Ok(Err(error)) => {
             let (field, code) = blame(&error);
@@ -93,7 +111,7 @@ fn blame(error: &DecodeError) -> (&'static str, &'static str) {
         DecodeError::TooLarge { .. } => ("image", "IMAGE_TOO_LARGE"),
         DecodeError::StrideTooShort { .. } => ("image.row_stride", "STRIDE_TOO_SHORT"),
         DecodeError::WrongLength { .. } => ("image.data", "WRONG_DATA_LENGTH"),
-        DecodeError::UnknownFormat => ("image.data", "UNKNOWN_FORMAT"),
+        DecodeError::UnknownFormat | DecodeError::OtherFormat { .. } => ("image.data", "UNKNOWN_FORMAT"),
         DecodeError::WrongFormat { .. } => ("image.encoding", "WRONG_FORMAT"),
         DecodeError::Truncated { .. } => ("image.data", "TRUNCATED_IMAGE"),
         DecodeError::Malformed { .. } => ("image.data", "MALFORMED_IMAGE"),
@@ -108,7 +126,29 @@ pub fn rejection_of(error: &slam::FrameError, sequence: u64) -> Rejection {
         FrameError::TimestampNotIncreasing { .. } => ("timestamp_ns", "TIMESTAMP_NOT_INCREASING"),
         FrameError::SequenceNotIncreasing { .. } => ("sequence", "SEQUENCE_NOT_INCREASING"),
     };
-    Rejection { sequence, field, reason: error.to_string(), code }
+    Rejection { sequence, field, reason: format!("{error}{}", advice(error)), code }
+}
+
+/// A frame further back in time than this comes from a clock that was set, and not from a frame out of order,
+/// nanoseconds.
+const CLOCK_SET_BACK_NS: i64 = 500_000_000;
+
+/// What to do about a frame the engine refused, where that is not plain.
+fn advice(error: &slam::FrameError) -> String {
+    match error {
+        slam::FrameError::TimestampNotIncreasing { timestamp_ns, last_timestamp_ns } => {
+            let back_ns = last_timestamp_ns.saturating_sub(*timestamp_ns);
+            if back_ns < CLOCK_SET_BACK_NS {
+                return "; frames must come in the order of their times".to_owned();
+            }
+            let back_s = back_ns as f64 * 1e-9;
+            format!(
+                "; the clock was set back by {back_s:.1} s: take times from one that is not (monotonic), or go on behind \
+                 the last frame, as `monoslam stream --continue-times` does"
+            )
+        }
+        _ => String::new(),
+    }
 }
 
 #[cfg(test)]
@@ -134,7 +174,7 @@ mod tests {
         queue.push(raw(2, &[7; 5])).await.unwrap();
         queue.close(Ok(()));
         let (sender, decoded) = sync_channel(8);
-        run(&queue, &DecodeLimits::default(), &sender);
+        run(&queue, &DecodeLimits::default(), &mut SampleDepth::default(), &sender);
         drop(sender);
         let [first, second, third] = <[Decoded; 3]>::try_from(decoded.iter().collect::<Vec<_>>()).unwrap();
         assert!(matches!(first, Decoded::Dropped(0)));
@@ -149,6 +189,21 @@ mod tests {
     }
 
     #[test]
+    fn a_clock_that_was_set_back_is_told_from_frames_out_of_order() {
+        let reason = |timestamp_ns: i64| {
+            let error =
+                slam::FrameError::TimestampNotIncreasing { timestamp_ns, last_timestamp_ns: 10_000_000_000 };
+            rejection_of(&error, 3).reason
+        };
+        assert!(
+            reason(0).contains("set back by 10.0 s") && reason(0).contains("--continue-times"),
+            "{}",
+            reason(0)
+        );
+        assert!(reason(9_970_000_000).contains("in the order of their times"));
+    }
+
+    #[test]
     fn decoding_ends_when_nobody_listens() {
         let queue = FrameQueue::new(Policy::Lossless, 2);
         let (sender, decoded) = sync_channel(1);
@@ -156,6 +211,6 @@ mod tests {
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         runtime.block_on(queue.push(raw(0, &[7; 160 * 120]))).unwrap();
         // The queue stays open: were the closed channel not noticed, this would wait for ever.
-        run(&queue, &DecodeLimits::default(), &sender);
+        run(&queue, &DecodeLimits::default(), &mut SampleDepth::default(), &sender);
     }
 }

@@ -1,9 +1,10 @@
 //! What happens in a session, for whoever watches.
 
+use super::frame::FrameOutcome;
 use super::gallery::{Gallery, ShownFrame};
 use super::journal::{Journal, Revision};
+use slam::MapUpdate;
 use slam::map::{KeyframeId, PrimitiveId};
-use slam::{FrameReport, MapUpdate};
 use std::sync::Arc;
 use tokio::sync::broadcast;
 
@@ -16,7 +17,7 @@ pub enum SessionEvent {
     /// A frame was tracked, or tried to be.
     Frame {
         /// What came of it.
-        report: Arc<FrameReport>,
+        report: Arc<FrameOutcome>,
         /// Metres per map unit; `None` while the scale is free.
         metres_per_unit: Option<f64>,
     },
@@ -96,11 +97,11 @@ impl Events {
     /// A frame was tracked, or tried to be. `shown` is asked for only if somebody watches.
     pub fn frame(
         &self,
-        report: &FrameReport,
+        report: &FrameOutcome,
         metres_per_unit: Option<f64>,
         shown: impl FnOnce() -> Option<ShownFrame>,
     ) {
-        let reason = report.outcome.reason();
+        let reason = report.reason();
         if !reason.is_empty() {
             self.journal.note_reason(report.sequence, reason);
         }

@@ -3,6 +3,7 @@
 use super::view::SessionView;
 use bytes::Bytes;
 use slam::FrameReport;
+use std::ops::Deref;
 use std::time::Instant;
 use vision::decode::{EncodedImage, PixelFormat};
 
@@ -24,7 +25,7 @@ pub struct SentImage {
 /// What the bytes of an image are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
-    /// PNG or JPEG, told by the first bytes.
+    /// A file, its format told by the first bytes.
     Auto,
     /// A PNG file.
     Png,
@@ -79,11 +80,46 @@ pub struct Rejection {
     pub code: &'static str,
 }
 
+/// An image whose brightest pixel is no brighter than this shows nothing, gray levels of 255.
+const NEARLY_BLACK: u8 = 12;
+
+/// What came of a frame: what the engine reports, and what the picture itself explains.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameOutcome {
+    /// What the engine reports.
+    pub report: FrameReport,
+    /// The gray of the picture's brightest pixel.
+    pub brightest: u8,
+}
+
+impl FrameOutcome {
+    /// Why there is no good pose, in a plain sentence; empty if there is one.
+    pub fn reason(&self) -> String {
+        let reason = self.report.outcome.reason();
+        match self.brightest {
+            _ if reason.is_empty() => reason,
+            0 => format!("the picture is black; {reason}"),
+            gray @ 1..=NEARLY_BLACK => {
+                format!("the picture is nearly black, its brightest value is {gray} of 255; {reason}")
+            }
+            _ => reason,
+        }
+    }
+}
+
+impl Deref for FrameOutcome {
+    type Target = FrameReport;
+
+    fn deref(&self) -> &FrameReport {
+        &self.report
+    }
+}
+
 /// The answer to a frame that was tracked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Answer {
     /// What came of it.
-    pub report: FrameReport,
+    pub report: FrameOutcome,
     /// Every frame up to this one is in the database.
     pub durable_sequence: Option<u64>,
     /// Nanoseconds between the frame's arrival and its tracking.
@@ -96,7 +132,7 @@ pub struct Answer {
 #[derive(Clone, Debug)]
 pub enum Before {
     /// A frame of a moment ago.
-    Recent(Box<FrameReport>),
+    Recent(Box<FrameOutcome>),
     /// A frame in the database.
     Stored(store::StoredFrame),
 }

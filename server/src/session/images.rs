@@ -9,7 +9,7 @@ use slam::MapUpdate;
 use slam::map::{FrameState, KeyframeId};
 use std::collections::VecDeque;
 use store::{KeyframeImage, StoredImage};
-use vision::decode::PixelFormat;
+use vision::decode::{DecodeLimits, FileFormat, PixelFormat, decode_gray};
 
 /// Candidates held at most: over two seconds of video, more than the engine looks back for a first view.
 const MAX_CANDIDATES: usize = 96;
@@ -52,7 +52,7 @@ impl CandidateImages {
     }
 }
 
-/// The image of a keyframe as a file to be stored: PNG and JPEG as they were sent, pixels as PNG.
+/// The image of a keyframe as a file to be stored: what browsers show as it was sent, the rest as PNG.
 ///
 /// `None` if the pixels do not fit the size, which the decoder would have refused before.
 pub fn to_file(keyframe: KeyframeId, image: &SentImage) -> Option<KeyframeImage> {
@@ -60,27 +60,40 @@ pub fn to_file(keyframe: KeyframeId, image: &SentImage) -> Option<KeyframeImage>
     Some(KeyframeImage { keyframe, media_type, bytes })
 }
 
-/// An image as a file: PNG and JPEG as they were sent, pixels as PNG; `None` as for `to_file`.
+/// An image as a file: what browsers show as it was sent, TIFF and PNM as gray PNG, pixels as PNG; `None` as
+/// for `to_file`.
 pub fn as_file(image: &SentImage) -> Option<StoredImage> {
     let file = |media_type: &str, bytes| Some(StoredImage { media_type: media_type.to_owned(), bytes });
     let format = match image.encoding {
         Encoding::Raw(format) => format,
         Encoding::Png | Encoding::Jpeg | Encoding::Auto => {
-            let is_jpeg = image.data.starts_with(&[0xFF, 0xD8, 0xFF]);
-            return file(if is_jpeg { "image/jpeg" } else { "image/png" }, image.data.to_vec());
+            let format = FileFormat::of(&image.data)?;
+            if format.is_shown_by_browsers() {
+                return file(format.media_type(), image.data.to_vec());
+            }
+            // No size is too large that was not refused when the frame was decoded.
+            let limits =
+                DecodeLimits { max_bytes: usize::MAX, max_pixels: u64::MAX, min_width: 1, min_height: 1 };
+            let gray = decode_gray(&image.as_encoded(), &limits).ok()?;
+            let size = (gray.width(), gray.height());
+            return file("image/png", png(gray.as_raw(), size, ColorType::Grayscale, BitDepth::Eight)?);
         }
     };
     let (pixels, color, depth) = packed_pixels(image, format)?;
+    file("image/png", png(&pixels, (image.width, image.height), color, depth)?)
+}
+
+fn png(pixels: &[u8], (width, height): (u32, u32), color: ColorType, depth: BitDepth) -> Option<Vec<u8>> {
     let mut data = Vec::new();
-    let mut encoder = Encoder::new(&mut data, image.width, image.height);
+    let mut encoder = Encoder::new(&mut data, width, height);
     encoder.set_color(color);
     encoder.set_depth(depth);
     encoder.set_compression(Compression::Fast);
     encoder.set_filter(Filter::Adaptive);
     let mut writer = encoder.write_header().ok()?;
-    writer.write_image_data(&pixels).ok()?;
+    writer.write_image_data(pixels).ok()?;
     writer.finish().ok()?;
-    file("image/png", data)
+    Some(data)
 }
 
 /// The rows without padding, in an order of channels PNG knows; 16-bit samples big-endian.

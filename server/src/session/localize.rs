@@ -5,18 +5,17 @@
 //! gives the same answer whatever was asked before.
 
 use super::decoder;
-use super::frame::SentImage;
+use super::frame::{FrameOutcome, SentImage};
 use super::load::{self, LoadContext};
 use crate::error::ApiError;
-use slam::FrameReport;
 use std::time::Instant;
-use vision::decode::DecodeLimits;
+use vision::decode::{DecodeLimits, SampleDepth};
 
 /// Where an image was taken, or why that is not known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Located {
     /// What came of the image.
-    pub report: FrameReport,
+    pub report: FrameOutcome,
     /// Metres per map unit; `None` while the scale is free.
     pub metres_per_unit: Option<f64>,
     /// The map is as of this frame.
@@ -40,15 +39,17 @@ pub async fn localize(
     let stored = load::read(context).await?;
     let (metres_per_unit, last_frame) = (stored.metres_per_unit, stored.last_frame());
     let locate = move || {
-        let image = decoder::decode_image(&image, &limits)
+        let image = decoder::decode_image(&image, &limits, &mut SampleDepth::default())
             .map_err(|refusal| ApiError::invalid(refusal.field, refusal.reason))?;
         let mut pipeline = load::resume_to_locate(stored)?;
         let load_ns = begin.elapsed().as_nanos() as u64;
+        let brightest = decoder::brightest(&image);
         let frame = slam::Frame { sequence: 0, timestamp_ns: 0, image };
         let report = pipeline.process_frame(frame).map_err(|error| {
             let refusal = decoder::rejection_of(&error, 0);
             ApiError::invalid(refusal.field, refusal.reason)
         })?;
+        let report = FrameOutcome { report, brightest };
         let locate_ns = (begin.elapsed().as_nanos() as u64).saturating_sub(load_ns);
         let durable_sequence = last_frame.map(|(sequence, _)| sequence);
         Ok(Located { report, metres_per_unit, durable_sequence, load_ns, locate_ns })

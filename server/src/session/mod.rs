@@ -22,7 +22,7 @@ mod writer;
 #[cfg(fuzzing)]
 pub use decoder::decode_image;
 pub use events::{MapChange, SessionEvent};
-pub use frame::{Answer, Before, Encoding, Rejection, Reply, SentFrame, SentImage};
+pub use frame::{Answer, Before, Encoding, FrameOutcome, Rejection, Reply, SentFrame, SentImage};
 pub use gallery::ShownFrame;
 pub use id::{OWNER_END, SessionId, is_name};
 pub use images::as_file;

@@ -7,7 +7,7 @@
 use super::SessionId;
 use super::decoder::{self, Decoded};
 use super::events::Events;
-use super::frame::{Answer, Before, Rejection, Reply, SentImage};
+use super::frame::{Answer, Before, FrameOutcome, Rejection, Reply, SentImage};
 use super::gallery::ShownFrame;
 use super::images::CandidateImages;
 use super::load::History;
@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
-use vision::decode::DecodeLimits;
+use vision::decode::{DecodeLimits, SampleDepth};
 
 /// Decoded frames that wait for tracking: one, so that decoding overlaps tracking. The decoder waits when it
 /// is full.
@@ -109,6 +109,8 @@ pub struct Worker {
     last_frame: Option<(u64, i64)>,
     recent: RecentAnswers,
     images: CandidateImages,
+    /// What is known of samples of 16 bits.
+    depth: SampleDepth,
     /// Frames tracked since the session was loaded.
     n_frames: u64,
     runtime: Handle,
@@ -129,8 +131,21 @@ impl Worker {
     ) -> Self {
         let Persistence { outbox, history, last_frame } = persistence;
         let (recent, images) = (RecentAnswers::default(), CandidateImages::default());
-        let n_frames = 0;
-        Self { id, config, pipeline, outbox, history, ends, last_frame, recent, images, n_frames, runtime }
+        let (depth, n_frames) = (SampleDepth::default(), 0);
+        Self {
+            id,
+            config,
+            pipeline,
+            outbox,
+            history,
+            ends,
+            last_frame,
+            recent,
+            images,
+            depth,
+            n_frames,
+            runtime,
+        }
     }
 
     /// Runs the session until it is idle, told to end, or fails. Call on a thread of its own.
@@ -214,13 +229,17 @@ impl Worker {
     fn track_all(&mut self, stream: &Stream) {
         let (sender, decoded) = sync_channel(DECODED_AHEAD);
         let limits = self.config.decode_limits;
+        let mut depth = self.depth;
+        let seen = &mut depth;
         std::thread::scope(|scope| {
             // Dropped before the scope joins the decoder, also in a panic, so that the decoder ends.
             let decoded = decoded;
             let _end_decoder = AbortOnDrop(&stream.queue);
             let decoder = std::thread::Builder::new().name("decode".into());
             let queue = &*stream.queue;
-            if let Err(error) = decoder.spawn_scoped(scope, move || decoder::run(queue, &limits, &sender)) {
+            if let Err(error) =
+                decoder.spawn_scoped(scope, move || decoder::run(queue, &limits, seen, &sender))
+            {
                 queue.abort(Err(ApiError::internal(error)));
                 return;
             }
@@ -234,11 +253,12 @@ impl Worker {
                 }
             }
         });
+        self.depth = depth;
     }
 
     fn handle(&mut self, stream: &Stream, item: Decoded) -> Result<(), ClientGone> {
         let reply = match item {
-            Decoded::Frame { frame, sent, arrived } => self.track(frame, sent, arrived),
+            Decoded::Frame { frame, brightest, sent, arrived } => self.track(frame, brightest, sent, arrived),
             Decoded::Dropped(sequence) => {
                 metrics::counter!("monoslam_frames_total", "outcome" => "dropped").increment(1);
                 Reply::Dropped(sequence)
@@ -248,14 +268,14 @@ impl Worker {
         self.send(stream, Ok(reply))
     }
 
-    fn track(&mut self, frame: slam::Frame, sent: SentImage, arrived: Instant) -> Reply {
+    fn track(&mut self, frame: slam::Frame, brightest: u8, sent: SentImage, arrived: Instant) -> Reply {
         let (sequence, timestamp_ns) = (frame.sequence, frame.timestamp_ns);
         if self.last_frame.is_some_and(|(last, _)| sequence <= last) {
             return self.repeat(sequence, timestamp_ns);
         }
         let queued_ns = arrived.elapsed().as_nanos() as u64;
         let report = match self.pipeline.process_frame(frame) {
-            Ok(report) => report,
+            Ok(report) => FrameOutcome { report, brightest },
             Err(error) => return rejected(decoder::rejection_of(&error, sequence)),
         };
         self.last_frame = Some((sequence, timestamp_ns));

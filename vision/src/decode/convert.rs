@@ -2,11 +2,12 @@
 
 use super::PixelFormat;
 
-/// Converts a row of raw pixels; `row` holds `out.len()` of them.
+/// Converts a row of raw pixels of one byte a channel; `row` holds `out.len()` of them.
 pub(super) fn raw_row_to_gray(row: &[u8], format: PixelFormat, out: &mut [u8]) {
     match format {
         PixelFormat::Gray8 => out.copy_from_slice(row),
-        PixelFormat::Gray16 => convert::<2>(row, out, |p| narrow(u16::from_le_bytes(*p))),
+        // Samples of 16 bits are scaled by all of them, and not by their row.
+        PixelFormat::Gray16 => convert::<2>(row, out, |&[_, high]| high),
         PixelFormat::Rgb8 => convert::<3>(row, out, |&[r, g, b]| luma(r, g, b)),
         PixelFormat::Bgr8 => convert::<3>(row, out, |&[b, g, r]| luma(r, g, b)),
         PixelFormat::Rgba8 => convert::<4>(row, out, |&[r, g, b, _]| luma(r, g, b)),
@@ -26,11 +27,6 @@ pub(super) fn luma(r: u8, g: u8, b: u8) -> u8 {
     ((u32::from(r) * 19595 + u32::from(g) * 38470 + u32::from(b) * 7471 + (1 << 15)) >> 16) as u8
 }
 
-/// 16 bits to 8, so that 65535 becomes 255: division by 257, rounded.
-pub(super) fn narrow(value: u16) -> u8 {
-    ((u32::from(value) + 128) / 257) as u8
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -39,9 +35,7 @@ mod tests {
     fn gray_colors_keep_their_level() {
         for v in 0..=255 {
             assert_eq!(luma(v, v, v), v);
-            assert_eq!(narrow(u16::from(v) * 257), v);
         }
-        assert_eq!((narrow(65535), narrow(127), narrow(129)), (255, 0, 1));
     }
 
     #[test]
@@ -56,6 +50,5 @@ mod tests {
         assert_eq!(gray(PixelFormat::Bgr8, &[0, 0, 255]), red);
         assert_eq!(gray(PixelFormat::Rgba8, &[255, 0, 0, 9]), red);
         assert_eq!(gray(PixelFormat::Bgra8, &[0, 0, 255, 9]), red);
-        assert_eq!(gray(PixelFormat::Gray16, &[0xFF, 0x7F]), 127);
     }
 }

@@ -4,8 +4,9 @@ use std::io::{Cursor, ErrorKind};
 
 use png::{BitDepth, ColorType, Decoder, DecodingError, Limits, Transformations};
 
-use super::convert::{convert, luma, narrow};
-use super::{DecodeError, DecodeLimits};
+use super::convert::{convert, luma};
+use super::depth::SampleDepth;
+use super::{DecodeError, DecodeLimits, FileFormat};
 use crate::GrayImage;
 
 const FORMAT: &str = "PNG";
@@ -13,12 +14,12 @@ const FORMAT: &str = "PNG";
 /// Room for chunks besides the pixels, whose size is checked on its own: a palette takes 768 bytes.
 const MAX_CHUNK_BYTES: usize = 64 << 20;
 
-pub(super) fn has_signature(data: &[u8]) -> bool {
-    data.starts_with(b"\x89PNG\r\n\x1a\n")
-}
-
-pub(super) fn decode(data: &[u8], limits: &DecodeLimits) -> Result<GrayImage, DecodeError> {
-    if !has_signature(data) {
+pub(super) fn decode(
+    data: &[u8],
+    limits: &DecodeLimits,
+    depth: &mut SampleDepth,
+) -> Result<GrayImage, DecodeError> {
+    if FileFormat::of(data) != Some(FileFormat::Png) {
         return Err(DecodeError::WrongFormat { format: FORMAT });
     }
     check_header(data, limits)?;
@@ -35,25 +36,19 @@ pub(super) fn decode(data: &[u8], limits: &DecodeLimits) -> Result<GrayImage, De
     let frame = reader.next_frame(&mut pixels).map_err(describe)?;
     let mut out = GrayImage::new(width, height);
     let gray = out.as_raw_mut();
-    // 16-bit samples are big-endian.
-    let wide = |a: u8, b: u8| narrow(u16::from_be_bytes([a, b]));
     match (frame.color_type, frame.bit_depth) {
         (ColorType::Grayscale, BitDepth::Eight) => gray.copy_from_slice(&pixels),
         (ColorType::GrayscaleAlpha, BitDepth::Eight) => convert::<2>(&pixels, gray, |&[v, _]| v),
         (ColorType::Rgb, BitDepth::Eight) => convert::<3>(&pixels, gray, |&[r, g, b]| luma(r, g, b)),
         (ColorType::Rgba, BitDepth::Eight) => convert::<4>(&pixels, gray, |&[r, g, b, _]| luma(r, g, b)),
-        (ColorType::Grayscale, BitDepth::Sixteen) => convert::<2>(&pixels, gray, |&[a, b]| wide(a, b)),
-        (ColorType::GrayscaleAlpha, BitDepth::Sixteen) => {
-            convert::<4>(&pixels, gray, |&[a, b, ..]| wide(a, b));
+        (color, BitDepth::Sixteen) if color != ColorType::Indexed => {
+            // Samples are big-endian.
+            let samples: Vec<u16> =
+                pixels.as_chunks::<2>().0.iter().map(|bytes| u16::from_be_bytes(*bytes)).collect();
+            depth.gray_of(&samples, color.samples(), gray);
         }
-        (ColorType::Rgb, BitDepth::Sixteen) => {
-            convert::<6>(&pixels, gray, |p| luma(wide(p[0], p[1]), wide(p[2], p[3]), wide(p[4], p[5])));
-        }
-        (ColorType::Rgba, BitDepth::Sixteen) => {
-            convert::<8>(&pixels, gray, |p| luma(wide(p[0], p[1]), wide(p[2], p[3]), wide(p[4], p[5])));
-        }
-        (color, depth) => {
-            let reason = format!("colour type {color:?} of depth {depth:?} is not supported");
+        (color, bits) => {
+            let reason = format!("color type {color:?} of depth {bits:?} is not supported");
             return Err(DecodeError::Malformed { format: FORMAT, reason });
         }
     }

@@ -132,7 +132,9 @@ fn sizes_are_refused_from_the_header_alone() {
 
 #[test]
 fn what_is_no_image_is_named() {
-    assert_eq!(decode(EncodedImage::Auto(b"GIF89a...")), Err(DecodeError::UnknownFormat));
+    let gif = DecodeError::OtherFormat { format: "GIF" };
+    assert_eq!(decode(EncodedImage::Auto(b"GIF89a...")), Err(gif));
+    assert_eq!(decode(EncodedImage::Auto(b"hello")), Err(DecodeError::UnknownFormat));
     assert_eq!(decode(EncodedImage::Auto(b"")), Err(DecodeError::UnknownFormat));
     assert_eq!(decode(EncodedImage::Png(b"hello")), Err(DecodeError::WrongFormat { format: "PNG" }));
     assert_eq!(decode(EncodedImage::Jpeg(b"hello")), Err(DecodeError::WrongFormat { format: "JPEG" }));

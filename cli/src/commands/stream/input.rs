@@ -6,10 +6,10 @@ use std::sync::Arc;
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
 use client::{FrameSource, Sequential};
-use geometry::{CameraModel, CameraParameters};
+use geometry::{Camera, CameraModel, CameraParameters};
 use recordings::{
-    Bag, Ffmpeg, FrameImage, FrameReader, FrameTimes, GrayReader, Layout, Recording, VideoInput, find_folder,
-    read_calibration, read_pipe,
+    Bag, CameraOfSize, Ffmpeg, FileError, FrameImage, FrameReader, FrameTimes, GrayReader, Layout,
+    OpenOptions, Recording, TimeUnit, VideoInput, find_folder, read_calibration, read_pipe,
 };
 
 /// Field of view that is assumed of a camera nobody knows, across the longer side of its images: phones film
@@ -46,9 +46,25 @@ pub struct InputArgs {
     /// Topic of the images in an MCAP file or bag [default: the only one]
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
-    /// Layout of a recording's folder: folder, euroc, kitti, tum or icl [default: recognized]
+    /// Layout of a recording's folder: folder, euroc, kitti, tum, icl, 7scenes, scannet or pictures [default:
+    /// recognized]
     #[arg(long, value_name = "L")]
     layout: Option<Layout>,
+    /// Unit of the times in a recording's list: s, ms, us, ns, or frames (numbers of frames, which come --fps
+    /// a second) [default: told by their size and rate]
+    #[arg(long, value_name = "UNIT")]
+    times: Option<TimeUnit>,
+    /// Bring a recording's list into the order of time
+    #[arg(long)]
+    sort: bool,
+    /// Where the clock of a camera, video or bag goes back, go on a second behind the last frame, instead of
+    /// having what follows refused
+    #[arg(long)]
+    continue_times: bool,
+    /// Leave out lines of a recording's list that cannot be used: without an image, without a time, out of
+    /// order
+    #[arg(long)]
+    skip_bad: bool,
 }
 
 /// An opened source.
@@ -59,6 +75,8 @@ pub struct Input {
     pub source: Arc<dyn FrameSource>,
     /// The camera that took them.
     pub camera: CameraParameters,
+    /// Whether the times of its frames were made from the rate that was given.
+    pub is_timed_by_rate: bool,
     /// The source, if it is read in turn.
     sequential: Option<Arc<Sequential>>,
 }
@@ -85,6 +103,14 @@ impl Input {
 
 /// Opens what the arguments name. `fps` is the rate of images that come without times.
 pub fn open(args: &InputArgs, fps: Option<f64>) -> Result<Input> {
+    let input = open_any(args, fps)?;
+    for warning in Camera::new(input.camera.clone())?.warnings() {
+        eprintln!("{}: {warning}", input.name);
+    }
+    Ok(input)
+}
+
+fn open_any(args: &InputArgs, fps: Option<f64>) -> Result<Input> {
     let (path, calibration) = match (&args.source, &args.camera) {
         (Some(source), camera) => {
             ensure!(
@@ -98,11 +124,7 @@ pub fn open(args: &InputArgs, fps: Option<f64>) -> Result<Input> {
     };
     ensure!(args.raw.is_none() || path == Path::new("-"), "--raw is for images on standard input (-)");
     if is_folder(path) {
-        ensure!(
-            calibration.is_none() && args.fov.is_none(),
-            "a recording's folder brings its calibration with it; it is not given by --camera or --fov"
-        );
-        return open_folder(path, args.layout);
+        return open_folder(path, args, fps, calibration.map(PathBuf::as_path));
     }
     let name = name(path);
     let is_bag = Bag::is_bag(path);
@@ -113,14 +135,17 @@ pub fn open(args: &InputArgs, fps: Option<f64>) -> Result<Input> {
         _ => None,
     };
     let recorded = recorded.map(|camera| camera.parameters().clone());
-    let sequential = Arc::new(match bag {
+    let sequential = match bag {
         Some(bag) => open_bag(bag)?,
         None => open_sequential(path, args, fps)?,
-    });
+    };
+    let sequential =
+        Arc::new(if args.continue_times { sequential.with_continued_times() } else { sequential });
     let size = first_size(&sequential, &name)?;
     let given = Given { file: calibration.map(PathBuf::as_path), fov_deg: args.fov, recorded };
     let camera = given.camera(path, &name, size)?;
-    Ok(Input { name, source: sequential.clone(), camera, sequential: Some(sequential) })
+    let is_timed_by_rate = false;
+    Ok(Input { name, source: sequential.clone(), camera, is_timed_by_rate, sequential: Some(sequential) })
 }
 
 /// Whether the path is not one of the sources that are read in turn.
@@ -129,11 +154,33 @@ fn is_folder(path: &Path) -> bool {
     !is_sequential
 }
 
-fn open_folder(path: &Path, layout: Option<Layout>) -> Result<Input> {
-    let recording = Recording::open(&find_folder(path)?, layout)?;
+fn open_folder(path: &Path, args: &InputArgs, fps: Option<f64>, calibration: Option<&Path>) -> Result<Input> {
+    let folder = find_folder(path)?;
+    let name = name(path);
+    let of_size = |size: (u32, u32)| -> Result<Camera, FileError> {
+        let given = Given { file: calibration, fov_deg: args.fov, recorded: None };
+        let refused =
+            |error: anyhow::Error| FileError::Content { path: folder.clone(), message: format!("{error:#}") };
+        let camera = given.camera(&folder.join("images"), &name, size).map_err(refused)?;
+        Camera::new(camera).map_err(|error| refused(error.into()))
+    };
+    let is_given = calibration.is_some() || args.fov.is_some();
+    let options = OpenOptions {
+        layout: args.layout,
+        fps,
+        times: args.times,
+        sort: args.sort,
+        skip_bad: args.skip_bad,
+        camera: is_given.then_some(&of_size as CameraOfSize<'_>),
+    };
+    let recording = Recording::open_with(&folder, &options)?;
+    for remark in &recording.remarks {
+        eprintln!("{remark}");
+    }
     let camera = recording.camera.parameters().clone();
+    let is_timed_by_rate = recording.layout == Layout::Pictures || args.times == Some(TimeUnit::Frames);
     let name = recording.name.clone();
-    Ok(Input { name, source: Arc::new(recording), camera, sequential: None })
+    Ok(Input { name, source: Arc::new(recording), camera, is_timed_by_rate, sequential: None })
 }
 
 fn open_bag(bag: Bag) -> Result<Sequential> {
@@ -195,7 +242,9 @@ fn first_size(source: &Sequential, name: &str) -> Result<(u32, u32)> {
         (0, _) | (_, 0) => FrameImage::Encoded(image.data.into()).size(),
         size => Some(size),
     };
-    size.with_context(|| format!("{name}: its first image is neither PNG nor JPEG"))
+    size.with_context(|| {
+        format!("{name}: its first image is of no format that is read (PNG, JPEG, BMP, WebP, TIFF, PGM, PPM)")
+    })
 }
 
 /// What is known of the camera.

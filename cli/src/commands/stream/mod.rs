@@ -31,8 +31,8 @@ pub struct StreamArgs {
     /// [default: lossless; realtime for a camera]
     #[arg(long, value_enum)]
     policy: Option<Policy>,
-    /// Frames per second [default: as fast as they are taken, or as recorded if realtime]. Of images on
-    /// standard input it is also what their times are made from
+    /// Frames per second [default: as fast as they are taken, or as recorded if realtime]. Of images without
+    /// times, on standard input or in a folder without a list, it is what their times are made from
     #[arg(long, value_name = "N", value_parser = positive)]
     fps: Option<f64>,
     /// First frame to stream, counted from zero
@@ -125,7 +125,8 @@ pub async fn run(args: StreamArgs) -> Result<()> {
     };
     let placement = placing.await??;
     let range = remaining(&session, placement, range);
-    let plan = plan(&args, &session, source.as_ref(), range, placement);
+    let fps = args.fps.filter(|_| !input.is_timed_by_rate);
+    let plan = plan(&args, fps, &session, source.as_ref(), range, placement);
     input.stop_on_interrupt();
     let streamed = stream_with_progress(&mut client, &source, &plan).await?;
     if let Some(remark) = input.remark() {
@@ -142,6 +143,7 @@ pub async fn run(args: StreamArgs) -> Result<()> {
 
 fn plan(
     args: &StreamArgs,
+    fps: Option<f64>,
     session: &v1::Session,
     source: &dyn FrameSource,
     range: Range<usize>,
@@ -155,7 +157,7 @@ fn plan(
             Policy::Lossless => v1::StreamPolicy::Lossless,
             Policy::Realtime => v1::StreamPolicy::Realtime,
         },
-        pacing: match (args.fps, policy) {
+        pacing: match (fps, policy) {
             // A camera sets the pace itself.
             _ if is_live => Pacing::Unpaced,
             (Some(rate), _) => Pacing::FramesPerSecond(rate),

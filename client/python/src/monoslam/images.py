@@ -18,7 +18,7 @@ from .v1 import slam_pb2 as pb
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 ImageLike = Pixels | bytes | str | PathLike[str]
-"""Pixels (height, width) or (height, width, 3 or 4); the bytes of a PNG or JPEG file; or the path of one."""
+"""Pixels (height, width) or (height, width, 3 or 4); the bytes of an image file; or the path of one."""
 
 _ENCODINGS = {
     ("rgb", 3): pb.IMAGE_ENCODING_RGB8,

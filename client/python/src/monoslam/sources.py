@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from .errors import FrameError
 from .images import ImageLike
 from .model import Camera, CameraModel
 
-_IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg"}
+_IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".webp", ".tif", ".tiff", ".pgm", ".ppm"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +23,7 @@ class Frame:
     """An image and when it was taken."""
 
     image: ImageLike
-    """Pixels, the bytes of a PNG or JPEG file, or its path, which is read when it is sent."""
+    """Pixels, the bytes of an image file, or its path, which is read when it is sent."""
     timestamp_ns: int = field(default_factory=time.time_ns)
     """Strictly increasing within a session. Left out: now."""
     channels: str = "rgb"
@@ -45,10 +46,11 @@ class Folder:
         folder = Path(path)
         try:
             camera = _read_calibration(folder / "calib.json")
-            lines = (folder / "rgb.txt").read_text(encoding="utf-8").splitlines()
-            rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
+            # Editors of some systems begin a file with a mark of the byte order.
+            lines = (folder / "rgb.txt").read_text(encoding="utf-8-sig").splitlines()
+            rows = [_row(line) for line in lines if line.strip() and not line.startswith("#")]
             times = tuple(nanoseconds(row[0]) for row in rows)
-            files = tuple(folder / row[1] for row in rows)
+            files = tuple(_listed(folder, row[1]) for row in rows)
         except OSError as error:
             raise FrameError(f"{error.filename}: {error.strerror}") from error
         except (ValueError, KeyError, IndexError) as error:
@@ -86,10 +88,11 @@ def captures(capture: Capture, *, fps: float | None = None) -> Iterator[Frame]:
 
 
 def image_files(folder: str | PathLike[str], fps: float) -> Iterator[Frame]:
-    """The PNG and JPEG files of a folder in the order of their names, at even times."""
-    files = sorted(file for file in Path(folder).iterdir() if file.suffix.lower() in _IMAGE_SUFFIXES)
+    """The image files of a folder in the order of their names, at even times; 10 comes after 9."""
+    files = [file for file in Path(folder).iterdir() if file.suffix.lower() in _IMAGE_SUFFIXES]
+    files.sort(key=lambda file: [(len(n), n, t) for n, t in re.findall(r"0*(\d*)(\D*)", file.name)])
     if not files:
-        raise FrameError(f"{folder} holds no PNG or JPEG files")
+        raise FrameError(f"{folder} holds no image files")
     return (Frame(file, round(i * 1e9 / fps)) for i, file in enumerate(files))
 
 
@@ -110,8 +113,20 @@ def nanoseconds(seconds: str) -> int:
     return int(whole) * 10**9 + sign * int((decimals + "000000000")[:9])
 
 
+def _row(line: str) -> tuple[str, str]:
+    """Time and name, with blanks, a comma or a semicolon between."""
+    time_, name = re.split(r"[,;\s]+", line.strip(), maxsplit=1)
+    return time_, name.rstrip(",; ")
+
+
+def _listed(folder: Path, name: str) -> Path:
+    """A name may have blanks; or other columns follow it."""
+    whole = folder / name
+    return whole if whole.is_file() else folder / re.split(r"[,;\s]", name, maxsplit=1)[0]
+
+
 def _read_calibration(path: Path) -> Camera:
-    c = json.loads(path.read_text(encoding="utf-8"))
+    c = json.loads(path.read_text(encoding="utf-8-sig"))
     model = CameraModel(c.get("model", "pinhole"))
     distortion = tuple(float(x) for x in c.get("dist", []))
     return Camera(c["width"], c["height"], c["fx"], c["fy"], c["cx"], c["cy"], distortion, model)
