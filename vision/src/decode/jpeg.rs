@@ -27,9 +27,9 @@ const MOTION_JPEG: [u8; 18] = *b"\xFF\xE0\0\x10AVI1\0\0\0\0\0\0\0\0\0\0";
 /// Adobe's segment that says that the components are no differences of colors.
 const NO_TRANSFORM: [u8; 16] = *b"\xFF\xEE\0\x0EAdobe\0\x64\0\0\0\0\0";
 
-/// What stands between the last scan and the end when a file is decoded: a code of ones alone, which no table has
-/// [ITU T.81, annex C]. Where everything is there it is not read, and where something is missing it is an error;
-/// the decoder itself goes on with zeros for ever.
+/// What stands between the last scan and the end when a file is decoded: a code of ones alone, which no table
+/// has [ITU T.81, annex C]. Where everything is there it is not read, and where something is missing it is an
+/// error; the decoder itself goes on with zeros for ever.
 const NO_CODE: [u8; 64] = {
     let mut bytes = [0; 64];
     let mut i = 0;
@@ -76,8 +76,8 @@ fn decode_with_care(data: &[u8], colors: Colors, limits: &DecodeLimits) -> Resul
     Err(if is_cut_off { TRUNCATED } else { error })
 }
 
-/// The file up to its end, with the segments that the decoder misses right behind the marker of its beginning,
-/// and no code before that of its end.
+/// The file up to its end, with the segments that the decoder misses right behind the marker of its
+/// beginning, and no code before that of its end.
 fn ended(data: &[u8], end_at: usize, structure: &Structure, colors: Colors) -> Vec<u8> {
     let tables: &[u8] = if structure.has_huffman_tables { &[] } else { &MOTION_JPEG };
     let is_unsaid = colors == Colors::Rgb && structure.adobe_transform.is_none();
