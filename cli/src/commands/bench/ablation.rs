@@ -105,6 +105,7 @@ mod tests {
             realtime_factor: None,
             dropped: None,
             peak_memory_mib: None,
+            process_cpu_ms: None,
             runs: Vec::new(),
         }
     }
