@@ -72,7 +72,7 @@ mod vanishing;
 
 pub use clock::{Clock, NoClock};
 pub use config::{
-    AlignmentConfig, ConfigError, ContinuityConfig, FeatureSwitches, InitializationConfig, KeyframeConfig,
+    AlignmentConfig, CalibrationConfig, CalibrationTrust, ConfigError, ContinuityConfig, FeatureSwitches, InitializationConfig, KeyframeConfig,
     LineConfig, LoopConfig, MappingConfig, PrimitiveConfig, RelocalizationConfig, SlamConfig, SubmapConfig,
     Threading, TrackingConfig,
 };

@@ -3,7 +3,7 @@
 use crate::features::FrameFeatures;
 use crate::map::{FrameState, KeyframeId, LineId, PointId, PrimitiveId, SubmapId};
 use geometry::nalgebra::Vector3;
-use geometry::{PinholeCorrection, Pose};
+use geometry::{CameraCorrection, Pose};
 use std::fmt;
 use std::sync::Arc;
 use vision::lines::LineTrackingStatistics;
@@ -204,13 +204,13 @@ pub enum MapEvent {
     /// The camera differs from its calibration by this much, and the map was adjusted to it.
     CalibrationRefined {
         /// Against the calibration as it was given.
-        correction: PinholeCorrection,
+        correction: CameraCorrection,
     },
     /// The images contradict the calibration by more than it can be wrong by: it is used as it was given. The
     /// lens may be described wrongly, or the images may have been resized or cropped.
     CalibrationContradicted {
         /// The camera that would fit the images best.
-        correction: PinholeCorrection,
+        correction: CameraCorrection,
     },
 }
 
@@ -242,7 +242,7 @@ impl MapEvent {
     }
 
     /// How the camera that fits the images best differs from its calibration, and whether it is used.
-    pub fn camera(&self) -> Option<(PinholeCorrection, bool)> {
+    pub fn camera(&self) -> Option<(CameraCorrection, bool)> {
         match self {
             Self::CalibrationRefined { correction } => Some((*correction, true)),
             Self::CalibrationContradicted { correction } => Some((*correction, false)),

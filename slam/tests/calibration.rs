@@ -1,6 +1,6 @@
 //! A camera that is not quite as it was given.
 
-use geometry::{Camera, CameraParameters, PinholeCorrection};
+use geometry::{Camera, CameraParameters, CameraCorrection};
 use slam::{MapEvent, ResumeState};
 use synthetic::{Preset, Sequence};
 use testkit::{Session, evaluate, inline};
@@ -41,7 +41,7 @@ impl Walk {
 #[test]
 fn a_focal_length_that_is_a_little_wrong_is_put_right() {
     let (as_given, refined) = (walk(0.02, false), walk(0.02, true));
-    assert_eq!(as_given.session.pipeline.map().correction(), PinholeCorrection::default());
+    assert_eq!(as_given.session.pipeline.map().correction(), CameraCorrection::default());
     assert!(refined.session.events.iter().any(|event| matches!(event, MapEvent::CalibrationRefined { .. })));
     assert!(refined.session.is_correction_stored, "what is to be stored says so");
     let correction = refined.session.pipeline.map().correction();
@@ -68,14 +68,14 @@ fn a_focal_length_that_is_a_little_wrong_is_put_right() {
 #[test]
 fn a_camera_that_is_as_given_stays_so() {
     let walk = walk(0.0, true);
-    assert_eq!(walk.session.pipeline.map().correction(), PinholeCorrection::default());
+    assert_eq!(walk.session.pipeline.map().correction(), CameraCorrection::default());
     assert!(walk.session.events.is_empty(), "{:?}", walk.session.events);
 }
 
 #[test]
 fn a_calibration_that_cannot_be_true_is_told_and_left_alone() {
     let walk = walk(0.12, true);
-    assert_eq!(walk.session.pipeline.map().correction(), PinholeCorrection::default());
+    assert_eq!(walk.session.pipeline.map().correction(), CameraCorrection::default());
     let told = |event: &MapEvent| matches!(event, MapEvent::CalibrationContradicted { correction } if correction.focal < -0.05);
     assert_eq!(
         walk.session.events.iter().filter(|event| told(event)).count(),

@@ -9,7 +9,7 @@ use crate::session::{
     SentImage, SessionEvent, SessionId, SessionView,
 };
 use crate::watch::Watched;
-use geometry::{CameraModel, CameraParameters, PinholeCorrection};
+use geometry::{CameraModel, CameraParameters, CameraCorrection};
 use proto::v1;
 use proto::v1::session_event::Event;
 use proto::v1::stream_frames_response::Message;
@@ -323,7 +323,7 @@ fn correction(event: &slam::MapEvent) -> v1::MapCorrection {
         submap_gone: submap_gone.map(|submap| submap.0),
         submap_kept: submap_kept.map(|submap| submap.0),
         camera: event.camera().map(|(correction, adopted)| {
-            let PinholeCorrection { focal, center_x, center_y } = correction;
+            let CameraCorrection { focal, center_x, center_y, .. } = correction;
             v1::CameraCorrection { focal, centre_x: center_x, centre_y: center_y, adopted }
         }),
     }

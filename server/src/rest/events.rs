@@ -8,7 +8,6 @@ use crate::session::{MapChange, SessionEvent, SessionId};
 use crate::watch::{Watched, watch};
 use axum::extract::{Path, State};
 use axum::response::sse::{Event, KeepAlive, Sse};
-use geometry::PinholeCorrection;
 use serde::Serialize;
 use slam::FrameReport;
 use slam::map::{KeyframeId, PrimitiveId};
@@ -164,7 +163,7 @@ impl From<&slam::MapEvent> for MapCorrection {
             submap_gone: submap_gone.map(|submap| submap.0),
             submap_kept: submap_kept.map(|submap| submap.0),
             camera: event.camera().map(|(correction, adopted)| {
-                let PinholeCorrection { focal, center_x, center_y } = correction;
+                let geometry::CameraCorrection { focal, center_x, center_y, .. } = correction;
                 CameraCorrection { focal, center_x, center_y, adopted }
             }),
         }

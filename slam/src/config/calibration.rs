@@ -1,21 +1,73 @@
-//! Configuration of self-calibration: refinement of the intrinsics.
+//! Configuration of self-calibration: refinement of the camera.
 
 use super::ConfigError;
+use geometry::{CameraModel, CameraParameters};
 
-/// Self-calibration: whether and when the intrinsics (focal length and principal point) are estimated along
-/// with the map.
+/// How far what is said of the camera is to be believed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum CalibrationTrust {
+    /// It was calibrated: only what the images prove is changed, and little.
+    #[default]
+    Given,
+    /// Its focal length is known roughly, as from a field of view or a data sheet.
+    Approximate,
+    /// Nothing is known but the size of the image; the focal length is a guess to begin with.
+    Unknown,
+}
+
+/// Self-calibration: whether and when the camera is estimated along with the map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationConfig {
+    /// How far the calibration is to be believed. Default given.
+    pub trust: CalibrationTrust,
     /// Standard deviation of the focal length as given, as a share of it. Default 0.01: what calibrations by
     /// hand, autofocus and warming up leave.
     pub focal_sigma: f64,
     /// Standard deviation of the principal point as given, either way, in focal lengths. Default 0.01, for
     /// the same reasons.
     pub center_sigma: f64,
-    /// Keyframes from which on it is tried. Default 10.
+    /// Standard deviation of an approximate focal length, as a share of it. Default 0.15: a field of view
+    /// from a data sheet may be that of the diagonal, or of pictures where the video is cropped.
+    pub approximate_focal_sigma: f64,
+    /// Focal length of a camera of which nothing is known, in lengths of the image's longer side. Default
+    /// 0.8: 64 degrees, between phones (0.7 to 0.85), webcams (0.8 to 1.2) and wide lenses (0.4 to 0.7).
+    pub unknown_focal_share: f64,
+    /// Standard deviation of the logarithm of that. Default 0.35.
+    pub unknown_focal_sigma: f64,
+    /// Standard deviation of the principal point from the middle of the image, either way, in focal lengths,
+    /// where the camera was not calibrated. Default 0.02: calibrated cameras lie 0.5 to 3 % off.
+    pub unknown_center_sigma: f64,
+    /// Standard deviation of the first coefficient of radial distortion where the camera was not calibrated.
+    /// Default 0.15: phones have up to 0.1, wide lenses 0.3.
+    pub radial_sigma: f64,
+    /// Standard deviation of the second coefficient from the square of the first. Default 0.03.
+    pub second_radial_sigma: f64,
+    /// A camera of which little was known counts as known when the standard deviation of its focal length is
+    /// below this share of it. Default 0.01.
+    pub known_focal_sigma: f64,
+    /// What was found of such a camera is taken over if it is off from the present one by this many of its
+    /// standard deviations, in any member. Default 0.5.
+    pub min_move_sigmas: f64,
+    /// Focal lengths are gone through in steps of this, in their logarithm. Default 0.12.
+    pub search_step: f64,
+    /// How far from what is known they are gone through, standard deviations. Default 2.5.
+    pub search_reach: f64,
+    /// Iterations at each of them. Default 6.
+    pub search_iterations: usize,
+    /// Going on is hopeless where the cost is above the least by this, for independent errors. Default 100.
+    pub hopeless_cost: f64,
+    /// Errors of keypoints count for as many times their variance as they are found to be correlated, and at
+    /// least this. Default 2.
+    pub least_inflation: f64,
+    /// Keyframes from which on a calibration that was given is tried. Default 10.
     pub min_keyframes: usize,
+    /// Keyframes from which on a camera of which little is known is looked for. Default 4: three views and
+    /// one for the errors.
+    pub min_keyframes_while_unknown: usize,
     /// It is tried again when there are this many times as many keyframes. Default 1.5.
     pub growth: f64,
+    /// The same while little is known of the camera. Default 1.2.
+    pub growth_while_unknown: f64,
     /// Keyframes beyond which it is no longer tried. Default 60: the camera is known by then, and the time
     /// that adjusting all keyframes takes grows.
     pub max_keyframes: usize,
@@ -35,18 +87,55 @@ pub struct CalibrationConfig {
 }
 
 impl CalibrationConfig {
+    /// The camera to begin with where nothing is known but the size of its image.
+    pub fn camera_of_size(&self, width: u32, height: u32) -> CameraParameters {
+        let focal = self.unknown_focal_share * f64::from(width.max(height));
+        let center = |side: u32| (f64::from(side) - 1.0) / 2.0;
+        CameraParameters {
+            model: CameraModel::Pinhole,
+            width,
+            height,
+            fx: focal,
+            fy: focal,
+            cx: center(width),
+            cy: center(height),
+            distortion: Vec::new(),
+        }
+    }
+
+    /// Keyframes from which on the camera is looked at.
+    pub(crate) fn first_look(&self) -> usize {
+        match self.trust {
+            CalibrationTrust::Given => self.min_keyframes,
+            CalibrationTrust::Approximate | CalibrationTrust::Unknown => self.min_keyframes_while_unknown,
+        }
+    }
+
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
         let refuse = |field, reason: &str| Err(ConfigError { field, reason: reason.to_owned() });
-        if !(self.focal_sigma > 0.0 && self.center_sigma > 0.0) {
-            return refuse("calibration.focal_sigma", "must be above 0, and calibration.centre_sigma too");
+        let sigmas = [
+            ("calibration.focal_sigma", self.focal_sigma),
+            ("calibration.center_sigma", self.center_sigma),
+            ("calibration.approximate_focal_sigma", self.approximate_focal_sigma),
+            ("calibration.unknown_focal_share", self.unknown_focal_share),
+            ("calibration.unknown_focal_sigma", self.unknown_focal_sigma),
+            ("calibration.unknown_center_sigma", self.unknown_center_sigma),
+            ("calibration.radial_sigma", self.radial_sigma),
+            ("calibration.second_radial_sigma", self.second_radial_sigma),
+            ("calibration.known_focal_sigma", self.known_focal_sigma),
+            ("calibration.search_step", self.search_step),
+            ("calibration.least_inflation", self.least_inflation),
+        ];
+        if let Some((field, _)) = sigmas.into_iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+            return refuse(field, "must be above 0");
         }
-        if self.min_keyframes < 3 {
+        if self.min_keyframes < 3 || self.min_keyframes_while_unknown < 3 {
             return refuse(
                 "calibration.min_keyframes",
                 "must be at least 3: two views say nothing of the camera",
             );
         }
-        if !(self.growth.is_finite() && self.growth > 1.0) {
+        if !(self.growth.is_finite() && self.growth > 1.0 && self.growth_while_unknown > 1.0) {
             return refuse("calibration.growth", "must be above 1");
         }
         Ok(())
@@ -56,10 +145,26 @@ impl CalibrationConfig {
 impl Default for CalibrationConfig {
     fn default() -> Self {
         Self {
+            trust: CalibrationTrust::Given,
             focal_sigma: 0.01,
             center_sigma: 0.01,
+            approximate_focal_sigma: 0.15,
+            unknown_focal_share: 0.8,
+            unknown_focal_sigma: 0.35,
+            unknown_center_sigma: 0.02,
+            radial_sigma: 0.15,
+            second_radial_sigma: 0.03,
+            known_focal_sigma: 0.01,
+            min_move_sigmas: 0.5,
+            search_step: 0.12,
+            search_reach: 2.5,
+            search_iterations: 6,
+            hopeless_cost: 100.0,
+            least_inflation: 2.0,
             min_keyframes: 10,
+            min_keyframes_while_unknown: 4,
             growth: 1.5,
+            growth_while_unknown: 1.2,
             max_keyframes: 60,
             min_gain: 10.0,
             certain_gain: 40.0,

@@ -197,7 +197,7 @@ impl Mapper {
     fn check_intrinsics(&mut self, share: f64) {
         let Some(camera) = self.camera.as_mut().filter(|_| self.global.is_idle()) else { return };
         let Some(submap) = camera.is_due(&self.map, share, &self.config.calibration) else { return };
-        let task = Task::CheckIntrinsics { doubt: camera.doubt() };
+        let task = Task::CheckIntrinsics { before: camera.memory() };
         let done = self.global.start(task, &self.map, submap, &self.config);
         self.take_over(done);
     }

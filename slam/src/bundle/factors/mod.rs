@@ -12,7 +12,7 @@ mod vanishing_reprojection;
 
 pub use baseline_length::BaselineLengthFactor;
 pub use calibrated_reprojection::{CalibratedReprojectionFactor, CalibrationPriorFactor};
-pub(super) use calibrated_reprojection::{correction_of, vector_of};
+pub(super) use calibrated_reprojection::{CorrectionVector, correction_of, vector_of};
 pub use direction_prior::DirectionPriorFactor;
 pub use line_reprojection::LineReprojectionFactor;
 pub use point_reprojection::PointReprojectionFactor;
