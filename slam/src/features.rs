@@ -3,6 +3,7 @@
 use geometry::nalgebra::{Matrix2, SymmetricEigen, Vector2};
 use geometry::{Camera, CameraCorrection, CorrectedPixels, Pinhole};
 use std::sync::Arc;
+use vision::vanishing::SegmentPlane;
 use vision::{Descriptor, Features, GridBounds, Keypoint, KeypointGrid};
 
 /// Distance of the places at which a segment is undistorted, pixels: lens models bend little between them.
@@ -244,6 +245,13 @@ impl FrameFeatures {
         features.grid = index(&self.keypoints, &features.undistorted, features.bounds);
         features.nominal = correction.bends().then_some(nominal);
         features
+    }
+
+    /// The plane through the camera in which the line of a segment lies.
+    pub(crate) fn segment_plane(&self, line_idx: usize) -> Option<SegmentPlane> {
+        let segment = self.lines.get(line_idx)?;
+        let [start, end] = [segment.start, segment.end].map(|pixel| self.pinhole.normalized(&pixel));
+        SegmentPlane::from_normalized(&start, &end, segment.sigma_px / self.pinhole.mean_focal_px())
     }
 
     /// How many keypoints there are.

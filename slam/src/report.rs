@@ -205,6 +205,14 @@ pub enum MapEvent {
     CalibrationRefined {
         /// Against the calibration as it was given.
         correction: CameraCorrection,
+        /// Standard deviation of the focal length, as a share of it.
+        focal_sigma: f64,
+    },
+    /// The camera was not calibrated, and how it has moved so far does not tell its focal length: straight
+    /// ahead, turning only, or before something flat. The map is bent as far as the focal length is wrong.
+    CalibrationUndetermined {
+        /// Standard deviation of the focal length, as a share of it.
+        focal_sigma: f64,
     },
     /// The images contradict the calibration by more than it can be wrong by: it is used as it was given. The
     /// lens may be described wrongly, or the images may have been resized or cropped.
@@ -221,7 +229,9 @@ impl MapEvent {
             Self::LoopClosed { keyframe, matched, .. } | Self::SubmapsMerged { keyframe, matched, .. } => {
                 Some((*keyframe, *matched))
             }
-            Self::CalibrationRefined { .. } | Self::CalibrationContradicted { .. } => None,
+            Self::CalibrationRefined { .. }
+            | Self::CalibrationContradicted { .. }
+            | Self::CalibrationUndetermined { .. } => None,
         }
     }
 
@@ -229,7 +239,9 @@ impl MapEvent {
     pub fn n_matches(&self) -> usize {
         match self {
             Self::LoopClosed { n_matches, .. } | Self::SubmapsMerged { n_matches, .. } => *n_matches,
-            Self::CalibrationRefined { .. } | Self::CalibrationContradicted { .. } => 0,
+            Self::CalibrationRefined { .. }
+            | Self::CalibrationContradicted { .. }
+            | Self::CalibrationUndetermined { .. } => 0,
         }
     }
 
@@ -244,9 +256,21 @@ impl MapEvent {
     /// How the camera that fits the images best differs from its calibration, and whether it is used.
     pub fn camera(&self) -> Option<(CameraCorrection, bool)> {
         match self {
-            Self::CalibrationRefined { correction } => Some((*correction, true)),
+            Self::CalibrationRefined { correction, .. } => Some((*correction, true)),
             Self::CalibrationContradicted { correction } => Some((*correction, false)),
-            Self::LoopClosed { .. } | Self::SubmapsMerged { .. } => None,
+            Self::LoopClosed { .. } | Self::SubmapsMerged { .. } | Self::CalibrationUndetermined { .. } => {
+                None
+            }
+        }
+    }
+
+    /// How well the focal length is known, as a share of it, where that was found.
+    pub fn focal_sigma(&self) -> Option<f64> {
+        match self {
+            Self::CalibrationRefined { focal_sigma, .. } | Self::CalibrationUndetermined { focal_sigma } => {
+                Some(*focal_sigma)
+            }
+            _ => None,
         }
     }
 }

@@ -181,11 +181,11 @@ impl Problem {
         let first = self.stores.slots::<T>()[id.index()].gradient as usize;
         let n_clusters = cluster_of.iter().max().map_or(0, |last| last + 1);
         let mut scores = DMatrix::zeros(n_clusters, T::DIM);
-        let n_gradient = self.n_free_dims();
+        let columns: Vec<Vec<f64>> = columns.iter().map(|column| self.with_landmarks(column)).collect();
         for (axis, column) in columns.iter().enumerate() {
             // The derivative of each factor's cost along the column, by central differences.
             let reach = SCORE_STEP / max_abs(column).max(f64::MIN_POSITIVE);
-            let mut step = vec![0.0; n_gradient];
+            let mut step = vec![0.0; column.len()];
             for sign in [1.0, -1.0] {
                 step.iter_mut().zip(column).for_each(|(step, entry)| *step = sign * reach * entry);
                 self.stores.iter_mut().for_each(|store| store.retract(&step));
@@ -201,6 +201,19 @@ impl Problem {
         let observed = scores.transpose() * &scores;
         let is_finite = |matrix: &DMatrix<f64>| matrix.iter().all(|entry| entry.is_finite());
         (is_finite(&expected) && is_finite(&observed)).then_some(ClusteredCovariance { expected, observed })
+    }
+
+    /// A step of the reduced variables with what it takes landmarks along by.
+    fn with_landmarks(&mut self, reduced: &[f64]) -> Vec<f64> {
+        let Some(system) = self.system.as_mut() else { return reduced.to_vec() };
+        system.normal.gradient.fill(0.0);
+        system.step[..reduced.len()].copy_from_slice(reduced);
+        let (mut schur, layout, _) = system.split(Damping::NONE);
+        for (store, span) in self.stores.iter().zip(&layout.spans) {
+            let landmarks = LandmarkSpan { first: span.start, landmarks: &layout.landmarks[span.clone()] };
+            store.back_substitute(&mut schur, landmarks);
+        }
+        system.step.clone()
     }
 
     /// The columns of the inverse of the undamped reduced Hessian that belong to a free reduced variable.

@@ -3,11 +3,11 @@
 
 use super::factors::{
     BaselineLengthFactor, CalibratedReprojectionFactor, CalibrationPriorFactor, CorrectionVector,
-    correction_of, vector_of,
+    OrthogonalityFactor, correction_of, vector_of,
 };
 use crate::config::{CalibrationConfig, CalibrationTrust};
 use crate::features::FrameFeatures;
-use crate::map::{KeyframeId, Map, PointId, SubmapId};
+use crate::map::{KeyframeId, Map, PointId, PrimitiveId, SubmapId};
 use geometry::nalgebra::{DMatrix, Vector3};
 use geometry::{CameraCorrection, Pose};
 use optim::{GroupId, Kernel, Problem, SolverOptions, VariableId, chi2_95};
@@ -90,6 +90,10 @@ pub(crate) struct Calibration<'a> {
     observations: GroupId<CalibratedReprojectionFactor>,
     /// Which point each observation is of, counted.
     point_of: Vec<usize>,
+    /// Which keyframe it was made in, likewise.
+    keyframe_of: Vec<usize>,
+    /// Right angles between vanishing directions; none where the calibration is given.
+    right_angles: GroupId<OrthogonalityFactor>,
     knowledge: Knowledge,
     prior: GroupId<CalibrationPriorFactor>,
     /// Holds a focal length under trial.
@@ -116,7 +120,10 @@ impl<'a> Calibration<'a> {
         }
         let correction = problem.add_variable(vector_of(&map.correction()));
         problem.set_fixed(correction, true);
-        let (mut points, mut factors, mut point_of) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut points, mut factors) = (Vec::new(), Vec::new());
+        let (mut point_of, mut keyframe_of) = (Vec::new(), Vec::new());
+        let positions: BTreeMap<KeyframeId, usize> =
+            poses.keys().enumerate().map(|(position, id)| (*id, position)).collect();
         for point in map.points().filter(|point| point.submap == submap) {
             let variable = problem.add_landmark(point.position);
             for seen in &point.observations {
@@ -132,6 +139,7 @@ impl<'a> Calibration<'a> {
                 };
                 factors.push(((*pose, correction, variable), factor));
                 point_of.push(points.len());
+                keyframe_of.push(positions[&seen.keyframe]);
             }
             points.push((point.id, variable));
         }
@@ -141,6 +149,12 @@ impl<'a> Calibration<'a> {
         let prior = problem.add_factors(Kernel::None, [((correction,), nothing)]);
         let trial = problem.add_factors(Kernel::None, [((correction,), nothing)]);
         problem.set_group_enabled(trial, false);
+        let right_angles = right_angles(map, submap, config);
+        let right_angles = right_angles.into_iter().map(|factor| ((correction,), factor));
+        let right_angles = problem.add_factors(Kernel::cauchy_95(), right_angles);
+        if knowledge == config.knowledge() && config.trust == CalibrationTrust::Given {
+            problem.set_group_enabled(right_angles, false);
+        }
         let poses: Vec<_> = poses.into_iter().collect();
         settle_scale(&mut problem, &poses);
         let mut calibration = Self {
@@ -151,6 +165,8 @@ impl<'a> Calibration<'a> {
             points,
             observations,
             point_of,
+            keyframe_of,
+            right_angles,
             knowledge,
             prior,
             trial,
@@ -235,7 +251,9 @@ impl<'a> Calibration<'a> {
 
     /// What observations and knowledge cost at present.
     fn cost(&self) -> f64 {
-        self.problem.cost_of(self.observations).robust + self.problem.cost_of(self.prior).robust
+        self.problem.cost_of(self.observations).robust
+            + self.problem.cost_of(self.prior).robust
+            + self.problem.cost_of(self.right_angles).robust
     }
 
     /// How many times as large the variance of the camera is, as the residuals show with those of one point
@@ -243,8 +261,10 @@ impl<'a> Calibration<'a> {
     /// members that the images determine.
     fn inflation(&mut self) -> f64 {
         let least = self.config.least_inflation;
+        let by_keyframe =
+            self.problem.clustered_covariance(self.correction, self.observations, &self.keyframe_of);
         let clustered = self.problem.clustered_covariance(self.correction, self.observations, &self.point_of);
-        let Some(clustered) = clustered else { return least };
+        let (Some(by_keyframe), Some(clustered)) = (by_keyframe, clustered) else { return least };
         let weights = self.problem.factors(self.prior)[0].inverse_sigmas;
         let expected_by_images = |axis: usize| {
             let column = clustered.expected.column(axis);
@@ -253,7 +273,9 @@ impl<'a> Calibration<'a> {
         };
         (0..5)
             .filter(|axis| expected_by_images(*axis) > 0.5 * clustered.expected[(*axis, *axis)])
-            .map(|axis| clustered.observed[(axis, axis)] / expected_by_images(axis))
+            .map(|axis| {
+                clustered.observed[(axis, axis)].max(by_keyframe.observed[(axis, axis)]) / expected_by_images(axis)
+            })
             .fold(least, f64::max)
     }
 
@@ -303,6 +325,37 @@ impl<'a> Calibration<'a> {
     }
 }
 
+/// What right angles of a building say of the camera: pairs of vanishing directions of a keyframe that are
+/// perpendicular or nearly so. Those of the same two primitives in several keyframes are of the same edges,
+/// and count for less the more there are.
+fn right_angles(map: &Map, submap: SubmapId, config: &CalibrationConfig) -> Vec<OrthogonalityFactor> {
+    let nominal_from_corrected = map.correction().nominal_from_corrected();
+    let max_cosine = config.right_angle_gate_deg.to_radians().sin();
+    let mut found: Vec<(Option<[PrimitiveId; 2]>, [Vector3<f64>; 2], f64)> = Vec::new();
+    for keyframe in map.keyframes_of(submap) {
+        for (idx, first) in keyframe.vanishing.iter().enumerate() {
+            for second in &keyframe.vanishing[idx + 1..] {
+                let cosine = first.direction.dot(&second.direction);
+                if cosine.abs() > max_cosine {
+                    continue;
+                }
+                let variance = first.direction.dot(&(second.covariance * first.direction))
+                    + second.direction.dot(&(first.covariance * second.direction))
+                    + config.right_angle_sigma_deg.to_radians().powi(2);
+                let pair = first.primitive.zip(second.primitive).map(|(a, b)| [a.min(b), a.max(b)]);
+                let rays = [first.direction, second.direction].map(|ray| nominal_from_corrected * ray);
+                found.push((pair, rays, variance));
+            }
+        }
+    }
+    let n_of = |pair: &Option<[PrimitiveId; 2]>| found.iter().filter(|other| other.0 == *pair).count();
+    let factor = |(pair, nominal, variance): &(_, _, f64)| OrthogonalityFactor {
+        nominal: *nominal,
+        inverse_sigma: 1.0 / (variance * (n_of(pair) as f64).sqrt()).sqrt(),
+    };
+    found.iter().map(factor).collect()
+}
+
 /// Settles the free scale by the keyframe that is farthest from the origin.
 fn settle_scale(problem: &mut Problem, poses: &[(KeyframeId, VariableId<Pose>)]) {
     let length_of = |variable| problem.value::<Pose>(variable).translation.norm();
@@ -318,6 +371,11 @@ fn settle_scale(problem: &mut Problem, poses: &[(KeyframeId, VariableId<Pose>)])
 }
 
 impl Estimate {
+    /// Standard deviation of the focal length, as a share of it.
+    pub fn focal_sigma(&self) -> f64 {
+        self.sigmas[0] / (1.0 + self.correction.focal)
+    }
+
     /// Whether it differs from a camera by so many of its standard deviations, in any member.
     pub fn moves(&self, from: &CameraCorrection, n_sigmas: f64) -> bool {
         let change = vector_of(&self.correction) - vector_of(from);

@@ -1,7 +1,15 @@
 //! Configuration of self-calibration: refinement of the camera.
 
 use super::ConfigError;
-use geometry::{CameraModel, CameraParameters};
+use geometry::{CameraCorrection, CameraModel, CameraParameters};
+
+/// A principal point farther from the middle than this share of the image is doubtful: calibrated cameras, also
+/// those of cropped images, lie within a tenth.
+const MAX_CENTER_SHARE: f64 = 0.15;
+/// Focal lengths outside these are doubtful, in longer sides of the image: fisheyes have 0.2, telephoto lenses 5.
+const MIN_FOCAL_SHARE: f64 = 0.1;
+/// See [`MIN_FOCAL_SHARE`].
+const MAX_FOCAL_SHARE: f64 = 20.0;
 
 /// How far what is said of the camera is to be believed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -20,6 +28,9 @@ pub enum CalibrationTrust {
 pub struct CalibrationConfig {
     /// How far the calibration is to be believed. Default given.
     pub trust: CalibrationTrust,
+    /// Whether a calibration that was given and that the images contradict is given up for what they say.
+    /// Default off: the client is told, and it is used as it was given.
+    pub wide: bool,
     /// Standard deviation of the focal length as given, as a share of it. Default 0.01: what calibrations by
     /// hand, autofocus and warming up leave.
     pub focal_sigma: f64,
@@ -40,14 +51,25 @@ pub struct CalibrationConfig {
     /// Standard deviation of the first coefficient of radial distortion where the camera was not calibrated.
     /// Default 0.15: phones have up to 0.1, wide lenses 0.3.
     pub radial_sigma: f64,
-    /// Standard deviation of the second coefficient from the square of the first. Default 0.03.
+    /// Standard deviation of the second coefficient from the square of the first. Default 0.01: more
+    /// takes up errors that are not the lens's.
     pub second_radial_sigma: f64,
     /// A camera of which little was known counts as known when the standard deviation of its focal length is
     /// below this share of it. Default 0.01.
     pub known_focal_sigma: f64,
     /// What was found of such a camera is taken over if it is off from the present one by this many of its
-    /// standard deviations, in any member. Default 0.5.
+    /// standard deviations, in any member. Default 0.15: the newer is the better one.
     pub min_move_sigmas: f64,
+    /// Where a camera of which little was known moves what is seen in a corner of the image by more than this,
+    /// the map is gone over for what the keyframes share, pixels. Default 4: what tracking looks for lies
+    /// within that.
+    pub search_again_px: f64,
+    /// Two vanishing directions of a keyframe closer to perpendicular than this are taken for a right angle of
+    /// a building where the camera was not calibrated, degrees. Default 20: what a focal length that is a
+    /// quarter off makes of one.
+    pub right_angle_gate_deg: f64,
+    /// Standard deviation of such an angle beside that of the directions, degrees. Default 0.5.
+    pub right_angle_sigma_deg: f64,
     /// Focal lengths are gone through in steps of this, in their logarithm. Default 0.12.
     pub search_step: f64,
     /// How far from what is known they are gone through, standard deviations. Default 2.5.
@@ -57,7 +79,7 @@ pub struct CalibrationConfig {
     /// Going on is hopeless where the cost is above the least by this, for independent errors. Default 100.
     pub hopeless_cost: f64,
     /// Errors of keypoints count for as many times their variance as they are found to be correlated, and at
-    /// least this. Default 2.
+    /// least this. Default 4.
     pub least_inflation: f64,
     /// Keyframes from which on a calibration that was given is tried. Default 10.
     pub min_keyframes: usize,
@@ -78,6 +100,15 @@ pub struct CalibrationConfig {
     /// Decrease of χ² from which on one look is enough. Default 40: twice what any camera that was as given
     /// brought.
     pub certain_gain: f64,
+    /// Squared distance of the camera that fits best from the calibration, in standard deviations of both, from
+    /// which on two looks in a row need not agree on it to contradict the calibration. Default 100: they agree
+    /// that the calibration is that far off.
+    pub gross_contradiction: f64,
+    /// A camera of which little was known is called undetermined where the standard deviation of its focal
+    /// length is above this share of it. Default 0.1.
+    pub undetermined_focal_sigma: f64,
+    /// The same, keyframes from which on that is told; at the end of a stream with fewer as well. Default 15.
+    pub undetermined_keyframes: usize,
     /// How much two looks in a row may disagree, as a share of the correction, for the camera to be taken
     /// over. Default 0.33: the rendered ones among them that were in doubt twice disagreed by 0.45 and more,
     /// the camera that was off by 0.15.
@@ -87,6 +118,38 @@ pub struct CalibrationConfig {
 }
 
 impl CalibrationConfig {
+    /// Cameras with which a first map is tried: in turn what is expected and
+    /// four fifths of a standard deviation to either side, if nothing is known.
+    pub(crate) fn hypotheses(&self) -> Vec<CameraCorrection> {
+        if self.trust != CalibrationTrust::Unknown {
+            return Vec::new();
+        }
+        let of = |sigmas: f64| (sigmas * self.unknown_focal_sigma).exp_m1();
+        let correction = |focal| CameraCorrection { focal, ..CameraCorrection::default() };
+        [0.0, of(-0.8), of(0.8)].map(correction).to_vec()
+    }
+
+    /// What makes a calibration of an image of this size doubtful before any image is seen, in a sentence.
+    pub fn suspicion(&self, camera: &CameraParameters) -> Option<String> {
+        let CameraParameters { width, height, fx, fy, cx, cy, .. } = camera;
+        let longer = f64::from(*width.max(height));
+        let shares = [(cx + 0.5) / f64::from(*width), (cy + 0.5) / f64::from(*height)];
+        if let Some(share) = shares.into_iter().find(|share| (share - 0.5).abs() > MAX_CENTER_SHARE) {
+            return Some(format!(
+                "the principal point ({cx:.1}, {cy:.1}) lies {:.0} % of the way across the image of {width} x {height} pixels, \
+                 where cameras have it near the middle: is the calibration that of an image of another size?",
+                100.0 * share
+            ));
+        }
+        let (least, most) = (fx.min(*fy) / longer, fx.max(*fy) / longer);
+        (least < MIN_FOCAL_SHARE || most > MAX_FOCAL_SHARE).then(|| {
+            format!(
+                "the focal length ({fx:.4}, {fy:.4}) is {least:.3} to {most:.3} times the longer side of the image: it must \
+                 be in pixels of an image of {width} x {height}, not in millimetres"
+            )
+        })
+    }
+
     /// The camera to begin with where nothing is known but the size of its image.
     pub fn camera_of_size(&self, width: u32, height: u32) -> CameraParameters {
         let focal = self.unknown_focal_share * f64::from(width.max(height));
@@ -146,6 +209,7 @@ impl Default for CalibrationConfig {
     fn default() -> Self {
         Self {
             trust: CalibrationTrust::Given,
+            wide: false,
             focal_sigma: 0.01,
             center_sigma: 0.01,
             approximate_focal_sigma: 0.15,
@@ -153,14 +217,17 @@ impl Default for CalibrationConfig {
             unknown_focal_sigma: 0.35,
             unknown_center_sigma: 0.02,
             radial_sigma: 0.15,
-            second_radial_sigma: 0.03,
+            second_radial_sigma: 0.01,
             known_focal_sigma: 0.01,
-            min_move_sigmas: 0.5,
+            min_move_sigmas: 0.15,
+            search_again_px: 4.0,
+            right_angle_gate_deg: 20.0,
+            right_angle_sigma_deg: 0.5,
             search_step: 0.12,
             search_reach: 2.5,
             search_iterations: 6,
             hopeless_cost: 100.0,
-            least_inflation: 2.0,
+            least_inflation: 4.0,
             min_keyframes: 10,
             min_keyframes_while_unknown: 4,
             growth: 1.5,
@@ -168,8 +235,38 @@ impl Default for CalibrationConfig {
             max_keyframes: 60,
             min_gain: 10.0,
             certain_gain: 40.0,
+            gross_contradiction: 100.0,
+            undetermined_focal_sigma: 0.1,
+            undetermined_keyframes: 15,
             max_disagreement: 0.33,
             max_iterations: 10,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_calibration_of_half_the_size_or_in_millimetres_is_suspected() {
+        let config = CalibrationConfig::default();
+        let suspicion = |fx: f64, cx: f64, cy: f64| {
+            config.suspicion(&CameraParameters { fx, fy: fx, cx, cy, ..config.camera_of_size(640, 480) })
+        };
+        assert_eq!(suspicion(525.0, 319.5, 239.5), None);
+        assert_eq!(suspicion(458.0, 330.0, 255.0), None);
+        assert!(suspicion(292.5, 160.0, 120.0).unwrap().contains("another size"));
+        assert!(suspicion(3.6, 319.5, 239.5).unwrap().contains("millimetres"));
+        assert!(suspicion(1e300, 319.5, 239.5).is_some());
+    }
+
+    #[test]
+    fn hypotheses_are_for_cameras_of_which_nothing_is_known() {
+        let of = |trust| CalibrationConfig { trust, ..CalibrationConfig::default() }.hypotheses();
+        assert!(of(CalibrationTrust::Given).is_empty() && of(CalibrationTrust::Approximate).is_empty());
+        let focals: Vec<f64> = of(CalibrationTrust::Unknown).iter().map(|camera| camera.focal).collect();
+        assert_eq!(focals.len(), 3);
+        assert!(focals[0] == 0.0 && focals[1] < -0.2 && focals[2] > 0.25, "{focals:?}");
     }
 }

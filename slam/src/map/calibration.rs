@@ -1,8 +1,10 @@
 //! The camera of a map, as far as the session knows it better than its calibration.
 
-use super::{Keyframe, KeyframeId, Map};
+use super::{Keyframe, KeyframeId, Map, VanishingObservation};
+use crate::features::FrameFeatures;
 use geometry::CameraCorrection;
 use std::sync::Arc;
+use vision::vanishing::{SegmentPlane, fit_direction};
 
 impl Map {
     /// Takes over how the camera differs from its calibration. The rays of all keyframes change, and with them the directions of their vanishing points. Poses and landmarks are left
@@ -23,9 +25,21 @@ impl Map {
                 adapt(keyframe, &correction);
                 for vanishing in &mut keyframe.vanishing {
                     vanishing.direction = (turned * vanishing.direction).normalize();
+                    if before.bends() || correction.bends() {
+                        fit_again(vanishing, &keyframe.features);
+                    }
                 }
             });
         }
+    }
+}
+
+/// Fits a vanishing point to its segments as they are now: straight lines that the lens bends lead elsewhere.
+fn fit_again(vanishing: &mut VanishingObservation, features: &FrameFeatures) {
+    let planes: Vec<SegmentPlane> =
+        vanishing.segments.iter().filter_map(|idx| features.segment_plane(*idx as usize)).collect();
+    if let Some((direction, covariance)) = fit_direction(&planes, &vanishing.direction) {
+        (vanishing.direction, vanishing.covariance) = (direction, covariance);
     }
 }
 

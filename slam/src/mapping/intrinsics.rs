@@ -6,9 +6,14 @@ use crate::bundle::global::{GlobalResult, adjust_to_camera};
 use crate::config::{CalibrationConfig, CalibrationTrust, SlamConfig};
 use crate::map::{Map, SubmapId};
 use crate::report::MapEvent;
-use geometry::CameraCorrection;
+use crate::features::FrameFeatures;
+use geometry::nalgebra::Vector2;
+use geometry::{CameraCorrection, CorrectedPixels};
 use optim::chi2_95;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A map whose camera is off by so many standard deviations of a calibration that was given has given it up.
+const GIVEN_UP_SIGMAS: f64 = 5.0;
 
 /// When the camera is looked at next, and what was found so far.
 #[derive(Clone, Debug)]
@@ -16,6 +21,8 @@ pub(super) struct IntrinsicsMonitor {
     /// Keyframes from which on it is looked at again.
     next_keyframes: usize,
     memory: Memory,
+    /// The last look moved the camera far, and what the map consists of with it.
+    moved_far: bool,
     /// Looking again would not help.
     is_over: bool,
 }
@@ -25,8 +32,12 @@ pub(super) struct IntrinsicsMonitor {
 pub(super) struct Memory {
     /// What the last look found, if that was doubtful.
     doubt: Option<Doubt>,
-    /// Whether the last looks agreed on a camera of which little was known before.
+    /// Whether the last look determined a camera of which little was known before.
     is_known: bool,
+    /// Whether the calibration was given up.
+    is_given_up: bool,
+    /// Whether it was told that the motion does not determine the camera.
+    is_undetermined: bool,
 }
 
 /// What makes a camera doubtful.
@@ -37,6 +48,8 @@ struct Doubt {
     /// How it would differ if little were known of it, where that is by more than a calibration can be wrong
     /// by.
     contradiction: Option<CameraCorrection>,
+    /// Whether that is so far off that it does not matter what the camera is instead.
+    is_gross: bool,
 }
 
 /// What a look at the camera came to.
@@ -46,11 +59,13 @@ pub(super) struct IntrinsicsCheck {
     is_over: bool,
     /// The submap as it is with another camera.
     pub adjusted: Option<GlobalResult>,
+    /// Where the new camera is so far from the one before that its map has to be gone over.
+    pub search_again: Option<SubmapId>,
 }
 
 impl IntrinsicsMonitor {
     pub fn new(config: &CalibrationConfig) -> Self {
-        Self { next_keyframes: config.first_look(), memory: Memory::default(), is_over: false }
+        Self { next_keyframes: config.first_look(), memory: Memory::default(), moved_far: false, is_over: false }
     }
 
     /// The submap by which the camera is to be looked at now, if it is; `share` of the planned keyframes
@@ -77,6 +92,11 @@ impl IntrinsicsMonitor {
         self.is_over
     }
 
+    /// Whether the last look changed so much that the next will find something else.
+    pub fn wants_another_look(&self) -> bool {
+        self.moved_far && !self.is_over
+    }
+
     /// What is kept from the last look.
     pub fn memory(&self) -> Memory {
         self.memory
@@ -86,6 +106,10 @@ impl IntrinsicsMonitor {
     pub fn note(&mut self, check: &IntrinsicsCheck) -> Option<MapEvent> {
         self.memory = check.memory;
         self.is_over |= check.is_over;
+        self.moved_far = check.search_again.is_some();
+        if self.moved_far {
+            self.next_keyframes = 0;
+        }
         check.event
     }
 }
@@ -102,24 +126,50 @@ impl Look<'_> {
     /// Looks at the camera and, if it is another than was thought, adjusts the submap to it. `None` if
     /// `abort` was set meanwhile.
     pub fn check(&self, before: Memory) -> Option<IntrinsicsCheck> {
-        match self.config.calibration.trust {
+        let config = &self.config.calibration;
+        match config.trust {
+            CalibrationTrust::Given if before.is_given_up || self.was_given_up() => {
+                let features = &self.map.keyframes_of(self.submap).next()?.features;
+                self.find(config.knowledge_of_size(features), before)
+            }
             CalibrationTrust::Given => self.check_given(before),
-            CalibrationTrust::Approximate | CalibrationTrust::Unknown => self.find(before),
+            CalibrationTrust::Approximate | CalibrationTrust::Unknown => {
+                self.find(config.knowledge(), before)
+            }
         }
     }
 
+    /// Whether the map has a camera that only a calibration given up leads to: so it is after a restart.
+    fn was_given_up(&self) -> bool {
+        let (config, now) = (&self.config.calibration, self.map.correction());
+        let given = config.knowledge().sigmas;
+        let off = [now.focal.ln_1p(), now.center_x, now.center_y];
+        let is_far = |axis: usize| off[axis].abs() > GIVEN_UP_SIGMAS * given[axis];
+        config.wide && ((0..3).any(is_far) || now.bends())
+    }
+
     /// Finds a camera of which little was known.
-    fn find(&self, before: Memory) -> Option<IntrinsicsCheck> {
+    fn find(&self, knowledge: Knowledge, before: Memory) -> Option<IntrinsicsCheck> {
         let config = &self.config.calibration;
-        let estimate = self.estimate(config.knowledge(), !before.is_known)?;
-        let is_known = estimate.sigmas[0] <= config.known_focal_sigma * (1.0 + estimate.correction.focal);
-        let memory = Memory { is_known, ..Memory::default() };
-        let nothing = IntrinsicsCheck { memory, event: None, is_over: false, adjusted: None };
+        let estimate = self.estimate(knowledge, !before.is_known)?;
+        let is_known = estimate.focal_sigma() <= config.known_focal_sigma;
+        let focal_sigma = estimate.focal_sigma();
+        let is_undetermined = self.map.n_keyframes() >= config.undetermined_keyframes
+            && focal_sigma > config.undetermined_focal_sigma;
+        let memory = Memory { is_known, doubt: None, is_undetermined, ..before };
+        let undetermined = (is_undetermined && !before.is_undetermined)
+            .then_some(MapEvent::CalibrationUndetermined { focal_sigma });
+        let nothing = IntrinsicsCheck { memory, event: None, is_over: false, adjusted: None, search_again: None };
         if !estimate.moves(&self.map.correction(), config.min_move_sigmas) {
-            return Some(nothing);
+            return Some(IntrinsicsCheck { event: undetermined, ..nothing });
         }
-        let event = Some(MapEvent::CalibrationRefined { correction: estimate.correction });
-        Some(IntrinsicsCheck { event, adjusted: Some(self.adjust(Some(&estimate))?), ..nothing })
+        let refined = MapEvent::CalibrationRefined { correction: estimate.correction, focal_sigma };
+        let event = undetermined.or(Some(refined));
+        let features = &self.map.keyframes_of(self.submap).next()?.features;
+        let shift_px = shift_px(features, &self.map.correction(), &estimate.correction);
+        let search_again = (shift_px > config.search_again_px).then_some(self.submap);
+        let adjusted = Some(self.adjust(Some(&estimate))?);
+        Some(IntrinsicsCheck { event, adjusted, search_again, ..nothing })
     }
 
     /// Holds a calibration that was given against the images.
@@ -130,19 +180,30 @@ impl Look<'_> {
     fn check_given(&self, before: Memory) -> Option<IntrinsicsCheck> {
         let config = &self.config.calibration;
         let held = self.estimate(config.knowledge(), false)?;
-        let nothing =
-            IntrinsicsCheck { memory: Memory::default(), event: None, is_over: false, adjusted: None };
+        let nothing = IntrinsicsCheck {
+            memory: Memory::default(),
+            event: None,
+            is_over: false,
+            adjusted: None,
+            search_again: None,
+        };
         if held.gain < config.min_gain {
             return Some(nothing);
         }
         let features = &self.map.keyframes_of(self.submap).next()?.features;
         let wide = self.estimate(config.knowledge_of_size(features), false)?;
-        let contradiction = contradicts(&wide, config).then_some(wide.correction);
-        let doubt = Doubt { correction: held.correction, contradiction };
+        let distance = squared_distance(&wide, config);
+        let contradiction = (distance > chi2_95(3)).then_some(wide.correction);
+        let is_gross = distance > config.gross_contradiction;
+        let doubt = Doubt { correction: held.correction, contradiction, is_gross };
         let before = before.doubt;
         if let Some(correction) =
             contradiction.filter(|_| before.is_some_and(|before| doubt.is_contradicted_as(&before, config)))
         {
+            if config.wide {
+                let memory = Memory { is_given_up: true, ..Memory::default() };
+                return self.find(config.knowledge_of_size(features), memory);
+            }
             // A camera taken over earlier was a first step towards something that no camera explains.
             let adjusted =
                 if self.map.correction().is_none() { None } else { Some(self.adjust(None)?) };
@@ -151,7 +212,8 @@ impl Look<'_> {
         }
         let agreed = before.is_some_and(|before| agree(&before.correction, &held.correction, config));
         if contradiction.is_none() && (held.gain >= config.certain_gain || agreed) {
-            let event = Some(MapEvent::CalibrationRefined { correction: held.correction });
+            let (correction, focal_sigma) = (held.correction, held.focal_sigma());
+            let event = Some(MapEvent::CalibrationRefined { correction, focal_sigma });
             return Some(IntrinsicsCheck { event, adjusted: Some(self.adjust(Some(&held))?), ..nothing });
         }
         Some(IntrinsicsCheck { memory: Memory { doubt: Some(doubt), ..Memory::default() }, ..nothing })
@@ -177,17 +239,32 @@ impl Doubt {
     /// Whether both looks contradict the calibration, and in the same way.
     fn is_contradicted_as(&self, before: &Self, config: &CalibrationConfig) -> bool {
         let both = before.contradiction.zip(self.contradiction);
-        both.is_some_and(|(before, now)| agree(&before, &now, config))
+        let is_gross = before.is_gross && self.is_gross;
+        both.is_some_and(|(before, now)| is_gross || agree(&before, &now, config))
     }
 }
 
-/// Whether the camera that fits best is another by more than a calibration that was given can be wrong by.
-fn contradicts(wide: &Estimate, config: &CalibrationConfig) -> bool {
+/// How far the camera that fits best is from a calibration that was given, squared, in standard deviations of
+/// both.
+fn squared_distance(wide: &Estimate, config: &CalibrationConfig) -> f64 {
     let given = config.knowledge().sigmas;
     let CameraCorrection { focal, center_x, center_y, .. } = wide.correction;
     let off = [focal.ln_1p(), center_x, center_y];
     let squared = |axis: usize| off[axis].powi(2) / (given[axis].powi(2) + wide.sigmas[axis].powi(2));
-    (0..3).map(squared).sum::<f64>() > chi2_95(3)
+    (0..3).map(squared).sum()
+}
+
+/// How far at most two cameras see apart what is seen at the image's corners, pixels.
+fn shift_px(features: &FrameFeatures, before: &CameraCorrection, after: &CameraCorrection) -> f64 {
+    let (low, high) = features.nominal_corners();
+    let nominal = &features.nominal_pinhole;
+    let rays = [before, after].map(|camera| (CorrectedPixels::new(nominal, camera), camera.apply(nominal)));
+    let corners = [low, high, Vector2::new(low.x, high.y), Vector2::new(high.x, low.y)];
+    let shift = |corner: &Vector2<f64>| {
+        let [first, second] = rays.map(|(pixels, pinhole)| pinhole.normalized(&pixels.ideal(corner)));
+        (second - first).norm() * nominal.mean_focal_px()
+    };
+    corners.iter().map(shift).fold(0.0, f64::max)
 }
 
 /// Whether two looks found the same.
@@ -204,7 +281,7 @@ mod tests {
     /// A look that wants another focal length, by so much.
     fn doubt(focal: f64) -> Doubt {
         let correction = CameraCorrection { focal, ..CameraCorrection::default() };
-        Doubt { correction, contradiction: Some(correction) }
+        Doubt { correction, contradiction: Some(correction), is_gross: false }
     }
 
     #[test]
@@ -215,5 +292,7 @@ mod tests {
         assert!(!doubt(-0.06).is_contradicted_as(&doubt(0.06), &config));
         let tolerable = Doubt { contradiction: None, ..doubt(-0.06) };
         assert!(!doubt(-0.06).is_contradicted_as(&tolerable, &config));
+        let gross = |focal| Doubt { is_gross: true, ..doubt(focal) };
+        assert!(gross(0.9).is_contradicted_as(&gross(0.4), &config), "both are far off");
     }
 }

@@ -4,6 +4,7 @@ mod baseline_length;
 mod calibrated_reprojection;
 mod direction_prior;
 mod line_reprojection;
+mod orthogonality;
 mod point_reprojection;
 mod relative_similarity;
 mod similarity_reprojection;
@@ -15,6 +16,7 @@ pub use calibrated_reprojection::{CalibratedReprojectionFactor, CalibrationPrior
 pub(super) use calibrated_reprojection::{CorrectionVector, correction_of, vector_of};
 pub use direction_prior::DirectionPriorFactor;
 pub use line_reprojection::LineReprojectionFactor;
+pub use orthogonality::OrthogonalityFactor;
 pub use point_reprojection::PointReprojectionFactor;
 pub use relative_similarity::RelativeSimilarityFactor;
 pub use similarity_reprojection::{PlacedSighting, SimilarityReprojectionFactor};

@@ -1,13 +1,14 @@
 //! Runs the engine alone over a recording and writes the trajectory, for work on the engine itself.
 //!
 //! `cargo run --release -p testkit --bin track_folder -- DATASET OUT.txt [--inline] [--start N] [--end N]
-//! [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--no-calibration] [--unknown-camera] [--verbose]
-//! [--states] [--log]`
+//! [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--no-calibration] [--unknown-camera]
+//! [--approximate-camera] [--wide-calibration] [--verbose] [--states] [--log]`
 //!
 //! The dataset is a folder of a layout that `monoslam` reads, also looked for in the folder that
 //! `MONOSLAM_DATA` names. `--states` prints how many frames of each state are wrong, where the recording has
 //! a truth. `--unknown-camera` tells the engine the size of the
-//! image alone; `--log` prints what it logs. Through the service, and measured against the truth, is the business of `monoslam`.
+//! image alone, `--approximate-camera` that the calibration is rough, `--wide-calibration` to give it up where
+//! the images contradict it; `--log` prints what it logs. Through the service, and measured against the truth, is the business of `monoslam`.
 
 mod states;
 
@@ -46,6 +47,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     if flag("--unknown-camera") {
         config.calibration.trust = CalibrationTrust::Unknown;
         camera = Camera::new(config.calibration.camera_of_size(camera.width(), camera.height()))?;
+    }
+    config.calibration.wide = flag("--wide-calibration");
+    if flag("--approximate-camera") {
+        config.calibration.trust = CalibrationTrust::Approximate;
     }
     if flag("--log") {
         tracing_subscriber::fmt().with_max_level(tracing::Level::DEBUG).with_ansi(false).init();
