@@ -3,13 +3,14 @@
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
 use crate::maps::{MapQueries, Observed, SceneParts};
-use crate::options::{SessionOptions, engine_config};
+use crate::options::{SessionOptions, camera_to_begin_with, engine_config};
 use crate::page::{MAX_PAGE_SIZE, Page, PageRequest};
 use crate::session::{
     self, FrameQueue, LoadContext, Located, OpenRequest, Registry, Replies, Reply, SentImage, SessionId,
     SessionView, ShownFrame,
 };
 use geometry::{Camera, CameraParameters};
+use slam::CalibrationConfig;
 use std::sync::Arc;
 use std::time::Duration;
 use store::{SessionChanges, SessionRecord, Store, StoredImage};
@@ -88,6 +89,7 @@ impl Service {
     pub async fn create_session(&self, new: NewSession) -> Result<SessionView, ApiError> {
         self.registry.check_open()?;
         let NewSession { id, camera, options } = new;
+        let (camera, options) = camera_to_begin_with(camera, options);
         check_image_size(&camera, self.config.limits.max_image_pixels)?;
         let camera = check_camera(camera)?;
         engine_config(&options)?;
@@ -106,6 +108,9 @@ impl Service {
         let record = self.store.create_session(&new).await?;
         *n_sessions += 1;
         tracing::info!(session.id = %id, "session {id} was made");
+        if let Some(suspicion) = CalibrationConfig::default().suspicion(&record.camera) {
+            tracing::warn!(session.id = %id, "the calibration of session {id} is doubtful: {suspicion}");
+        }
         Ok(self.view(record))
     }
 

@@ -89,6 +89,6 @@ pub use page::Page;
 pub use points::{Bounds, PointQuery};
 pub use primitives::PrimitiveRecord;
 pub use save::{Committed, KeyframeImage, SessionStatus};
-pub use session::{NewSession, SessionChanges, SessionCounts, SessionOptions, SessionRecord};
+pub use session::{Calibration, NewSession, SessionChanges, SessionCounts, SessionOptions, SessionRecord};
 pub use snapshot::MapSnapshot;
 pub use trajectory::{StoredFrame, SubmapChoice, TrajectoryFilter, TrajectoryKind, TrajectoryPose};

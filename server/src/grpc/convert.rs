@@ -9,7 +9,7 @@ use crate::session::{
     SentImage, SessionEvent, SessionId, SessionView,
 };
 use crate::watch::Watched;
-use geometry::{CameraModel, CameraParameters, CameraCorrection};
+use geometry::{CameraCorrection, CameraModel, CameraParameters};
 use proto::v1;
 use proto::v1::session_event::Event;
 use proto::v1::stream_frames_response::Message;
@@ -33,6 +33,8 @@ fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, ApiError> {
         v1::CameraModel::Radtan => CameraModel::Radtan,
         v1::CameraModel::KannalaBrandt => CameraModel::KannalaBrandt,
         v1::CameraModel::Fov => CameraModel::Fov,
+        // A camera that is given by its size alone has no model.
+        v1::CameraModel::Unspecified if camera.fx == 0.0 && camera.fy == 0.0 => CameraModel::Pinhole,
         v1::CameraModel::Unspecified => {
             let sentence = "must be PINHOLE, RADTAN, KANNALA_BRANDT or FOV";
             return Err(ApiError::invalid("camera.model", sentence));
@@ -42,8 +44,8 @@ fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, ApiError> {
     Ok(CameraParameters { model, width, height, fx, fy, cx, cy, distortion })
 }
 
-convert_options!(v1::SessionOptions => SessionOptions);
-convert_options!(SessionOptions => v1::SessionOptions);
+convert_options!(v1::SessionOptions => SessionOptions, with calibration = None);
+convert_options!(SessionOptions => v1::SessionOptions, without calibration);
 
 pub(super) fn located(located: &Located) -> v1::LocalizeResponse {
     let Located { report, metres_per_unit, durable_sequence, load_ns, locate_ns } = located;

@@ -10,7 +10,7 @@ use crate::features::FrameFeatures;
 use crate::map::{KeyframeId, Map, PointId, PrimitiveId, SubmapId};
 use geometry::nalgebra::{DMatrix, Vector3};
 use geometry::{CameraCorrection, Pose};
-use optim::{GroupId, Kernel, Problem, SolverOptions, VariableId, chi2_95};
+use optim::{Factor as _, GroupId, Kernel, Problem, SolverOptions, VariableId, chi2_95};
 use std::collections::BTreeMap;
 
 /// Standard deviation of the length that settles the free scale, as a share of it.
@@ -171,7 +171,7 @@ impl<'a> Calibration<'a> {
             prior,
             trial,
         };
-        calibration.weigh_knowledge(config.least_inflation);
+        calibration.weigh_knowledge(calibration.least_inflation());
         calibration
     }
 
@@ -184,7 +184,9 @@ impl<'a> Calibration<'a> {
         if !search {
             self.problem.enable_inliers(self.observations, chi2_95(2));
         }
-        let present = self.solve(max_iterations, aborted);
+        self.solve(max_iterations, aborted);
+        let present_images = self.problem.cost_of(self.observations).robust;
+        let present = *self.problem.value(self.correction);
         self.problem.set_fixed(self.correction, false);
         if search {
             self.search(aborted);
@@ -192,10 +194,30 @@ impl<'a> Calibration<'a> {
         }
         self.solve(max_iterations, aborted);
         let inflation = self.inflation();
-        self.weigh_knowledge(inflation);
-        let found = self.solve(max_iterations, aborted);
+        if !self.is_given() {
+            self.weigh_knowledge(inflation);
+            self.solve(max_iterations, aborted);
+        }
         let sigmas = self.sigmas(inflation);
-        (!aborted()).then(|| self.into_estimate(inflation, 2.0 * (present - found), sigmas))
+        let found_images = self.problem.cost_of(self.observations).robust;
+        let knowledge_of = |correction: &CorrectionVector| {
+            let residual = self.problem.factors(self.prior)[0].residual((correction,));
+            residual.map_or(f64::INFINITY, |residual| 0.5 * residual.norm_squared())
+        };
+        let found = knowledge_of(self.problem.value(self.correction));
+        let gain = 2.0 * (present_images + knowledge_of(&present) - found_images - found);
+        (!aborted()).then(|| self.into_estimate(inflation, gain, sigmas))
+    }
+
+    /// Whether the camera is held to a calibration that was given.
+    fn is_given(&self) -> bool {
+        self.config.trust == CalibrationTrust::Given && self.knowledge == self.config.knowledge()
+    }
+
+    /// What errors of keypoints count for at least. A calibration that was given is a measurement like the
+    /// images, and how far they are to be believed is told by looks that agree.
+    fn least_inflation(&self) -> f64 {
+        if self.is_given() { 1.0 } else { self.config.least_inflation }
     }
 
     /// Counts what was known before as much as it deserves beside the images: as errors of keypoints are
@@ -226,7 +248,7 @@ impl<'a> Calibration<'a> {
                 let cost = self.cost();
                 if cost < best.0 {
                     best = (cost, self.state());
-                } else if cost > best.0 + self.config.hopeless_cost * self.config.least_inflation {
+                } else if cost > best.0 + self.config.hopeless_cost * self.least_inflation() {
                     break;
                 }
             }
@@ -260,7 +282,7 @@ impl<'a> Calibration<'a> {
     /// taken as one error, as it would be if they were independent and as large as said: the largest of all
     /// members that the images determine.
     fn inflation(&mut self) -> f64 {
-        let least = self.config.least_inflation;
+        let least = self.least_inflation();
         let by_keyframe =
             self.problem.clustered_covariance(self.correction, self.observations, &self.keyframe_of);
         let clustered = self.problem.clustered_covariance(self.correction, self.observations, &self.point_of);

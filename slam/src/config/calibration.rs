@@ -97,6 +97,9 @@ pub struct CalibrationConfig {
     /// are exactly as given, brought 1 in the median and 10 to 21 in one of twenty; a camera off by 1 %, 15
     /// to 29.
     pub min_gain: f64,
+    /// It must differ as well from the present camera by this many standard deviations of itself, in any member,
+    /// with errors of keypoints as correlated as they turn out to be. Default 2.
+    pub min_given_sigmas: f64,
     /// Decrease of χ² from which on one look is enough. Default 40: twice what any camera that was as given
     /// brought.
     pub certain_gain: f64,
@@ -234,6 +237,7 @@ impl Default for CalibrationConfig {
             growth_while_unknown: 1.2,
             max_keyframes: 60,
             min_gain: 10.0,
+            min_given_sigmas: 2.0,
             certain_gain: 40.0,
             gross_contradiction: 100.0,
             undetermined_focal_sigma: 0.1,

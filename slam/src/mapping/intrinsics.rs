@@ -187,7 +187,8 @@ impl Look<'_> {
             adjusted: None,
             search_again: None,
         };
-        if held.gain < config.min_gain {
+        // Fitted to errors of keypoints that are correlated, a camera is less certain than χ² says.
+        if held.gain < config.min_gain || !held.moves(&self.map.correction(), config.min_given_sigmas) {
             return Some(nothing);
         }
         let features = &self.map.keyframes_of(self.submap).next()?.features;

@@ -9,7 +9,7 @@ use slam::map::{FrameState, LastIds};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 
-pub use json::SessionOptions;
+pub use json::{Calibration, SessionOptions};
 #[cfg(fuzzing)]
 pub(crate) use json::decode_camera;
 

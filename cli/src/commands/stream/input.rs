@@ -12,10 +12,6 @@ use recordings::{
     read_calibration, read_pipe,
 };
 
-/// Field of view that is assumed of a camera nobody knows, across the longer side of its images: phones film
-/// with 60 to 70 degrees, webcams with 55 to 75.
-const ASSUMED_FOV_DEG: f64 = 65.0;
-
 /// The word for a camera whose calibration nobody knows.
 const UNKNOWN: &str = "unknown";
 
@@ -98,11 +94,15 @@ pub fn open(args: &InputArgs, fps: Option<f64>) -> Result<Input> {
     };
     ensure!(args.raw.is_none() || path == Path::new("-"), "--raw is for images on standard input (-)");
     if is_folder(path) {
+        let is_unknown = calibration.is_some_and(|word| word == Path::new(UNKNOWN));
         ensure!(
-            calibration.is_none() && args.fov.is_none(),
-            "a recording's folder brings its calibration with it; it is not given by --camera or --fov"
+            (calibration.is_none() || is_unknown) && args.fov.is_none(),
+            "a recording's folder brings its calibration with it; it is not given by --camera or --fov, but may be \
+             left aside by --camera unknown"
         );
-        return open_folder(path, args.layout);
+        let input = open_folder(path, args.layout)?;
+        let (width, height) = (input.camera.width, input.camera.height);
+        return Ok(if is_unknown { Input { camera: of_size(width, height), ..input } } else { input });
     }
     let name = name(path);
     let is_bag = Bag::is_bag(path);
@@ -223,8 +223,11 @@ impl Given<'_> {
                      or --fov DEG for a guess from its field of view"
                 )
             })?)?,
-            (None, fov_deg, _) => {
-                let fov_deg = fov_deg.unwrap_or(ASSUMED_FOV_DEG);
+            (None, None, _) => {
+                eprintln!("the calibration of {name} is not known: it is found as the map grows");
+                return Ok(of_size(width, height));
+            }
+            (None, Some(fov_deg), _) => {
                 eprintln!(
                     "the calibration of {name} is taken from a field of view of {fov_deg} degrees, without \
                      distortion: shapes come out wrong as far as that is"
@@ -250,6 +253,12 @@ impl Given<'_> {
 
 fn from_file(file: &Path) -> Result<(CameraParameters, String)> {
     Ok((read_calibration(file)?.parameters().clone(), file.display().to_string()))
+}
+
+/// A camera given by the size of its images alone.
+fn of_size(width: u32, height: u32) -> CameraParameters {
+    let (model, distortion) = (CameraModel::Pinhole, Vec::new());
+    CameraParameters { model, width, height, fx: 0.0, fy: 0.0, cx: 0.0, cy: 0.0, distortion }
 }
 
 fn from_field_of_view(fov_deg: f64, width: u32, height: u32) -> CameraParameters {
@@ -301,7 +310,8 @@ mod tests {
         };
         let refused = camera_of(None, None).unwrap_err().to_string();
         assert!(refused.contains("is not known") && refused.contains("--fov"), "{refused}");
-        assert!(camera_of(Some(UNKNOWN), None).is_ok());
+        let unknown = camera_of(Some(UNKNOWN), None).unwrap();
+        assert_eq!((unknown.width, unknown.height, unknown.fx), (64, 48, 0.0), "the size alone is told");
         let calibration = |width: u32, height: u32| {
             let text = format!(
                 r#"{{"width": {width}, "height": {height}, "fx": 60, "fy": 60, "cx": 31, "cy": 23, "dist": []}}"#
