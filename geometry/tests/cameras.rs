@@ -3,7 +3,7 @@
 mod support;
 
 use geometry::nalgebra::{Vector2, Vector3};
-use geometry::{Camera, CameraModel, CameraParameters, Pinhole, CameraCorrection};
+use geometry::{Camera, CameraCorrection, CameraModel, CameraParameters, Pinhole};
 use rand::Rng;
 use support::{assert_close, generators, numeric_jacobian};
 

@@ -1,8 +1,8 @@
 //! What a client asks of a session, and what the engine runs with then.
 
 use crate::error::{ApiError, ErrorCode, FieldViolation};
-use serde::{Deserialize, Serialize};
 use geometry::CameraParameters;
+use serde::{Deserialize, Serialize};
 use slam::{CalibrationConfig, CalibrationTrust, FeatureSwitches, SlamConfig, Threading};
 use store::SessionRecord;
 use utoipa::ToSchema;
@@ -39,8 +39,8 @@ pub struct SessionOptions {
     /// Most keyframes the session keeps.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_keyframes: Option<u32>,
-    /// How far what is said of the camera is to be believed; left out it is as if calibrated, or unknown where
-    /// the camera is given by its size alone.
+    /// How far what is said of the camera is to be believed; left out it is as if calibrated, or unknown
+    /// where the camera is given by its size alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<Calibration>,
 }
@@ -76,7 +76,8 @@ same_words!(store::Calibration => Calibration);
 same_words!(Calibration => CalibrationTrust);
 
 /// Conversion between two types with a field for each option. Naming each makes the compiler see when one is
-/// added. Behind `without` stand those that the first type alone has, behind `with` those of the second alone.
+/// added. Behind `without` stand those that the first type alone has, behind `with` those of the second
+/// alone.
 macro_rules! convert_options {
     ($from:path => $to:path $(, without $ignored:ident)* $(, with $own:ident = $value:expr)* $(, as $same:ident)*) => {
         impl From<$from> for $to {
@@ -133,8 +134,8 @@ impl SessionOptions {
     }
 }
 
-/// The camera that a session begins with, and its options: one that is given by its size alone, or of which no
-/// more is to be believed, is guessed, and found as the map grows.
+/// The camera that a session begins with, and its options: one that is given by its size alone, or of which
+/// no more is to be believed, is guessed, and found as the map grows.
 pub fn camera_to_begin_with(
     camera: CameraParameters,
     options: SessionOptions,

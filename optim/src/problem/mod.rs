@@ -170,7 +170,8 @@ impl Problem {
     /// not independent of each other. `cluster_of` names the cluster of each factor of the group, counted
     /// from 0.
     ///
-    /// The values must be those of a minimum. `None` as in [`marginal_covariance`](Self::marginal_covariance).
+    /// The values must be those of a minimum. `None` as in
+    /// [`marginal_covariance`](Self::marginal_covariance).
     pub fn clustered_covariance<T: Manifold, F: Factor>(
         &mut self,
         id: VariableId<T>,

@@ -296,7 +296,8 @@ impl<'a> Calibration<'a> {
         (0..5)
             .filter(|axis| expected_by_images(*axis) > 0.5 * clustered.expected[(*axis, *axis)])
             .map(|axis| {
-                clustered.observed[(axis, axis)].max(by_keyframe.observed[(axis, axis)]) / expected_by_images(axis)
+                clustered.observed[(axis, axis)].max(by_keyframe.observed[(axis, axis)])
+                    / expected_by_images(axis)
             })
             .fold(least, f64::max)
     }

@@ -3,10 +3,11 @@
 use super::ConfigError;
 use geometry::{CameraCorrection, CameraModel, CameraParameters};
 
-/// A principal point farther from the middle than this share of the image is doubtful: calibrated cameras, also
-/// those of cropped images, lie within a tenth.
+/// A principal point farther from the middle than this share of the image is doubtful: calibrated cameras,
+/// also those of cropped images, lie within a tenth.
 const MAX_CENTER_SHARE: f64 = 0.15;
-/// Focal lengths outside these are doubtful, in longer sides of the image: fisheyes have 0.2, telephoto lenses 5.
+/// Focal lengths outside these are doubtful, in longer sides of the image: fisheyes have 0.2, telephoto
+/// lenses 5.
 const MIN_FOCAL_SHARE: f64 = 0.1;
 /// See [`MIN_FOCAL_SHARE`].
 const MAX_FOCAL_SHARE: f64 = 20.0;
@@ -60,12 +61,12 @@ pub struct CalibrationConfig {
     /// What was found of such a camera is taken over if it is off from the present one by this many of its
     /// standard deviations, in any member. Default 0.15: the newer is the better one.
     pub min_move_sigmas: f64,
-    /// Where a camera of which little was known moves what is seen in a corner of the image by more than this,
-    /// the map is gone over for what the keyframes share, pixels. Default 4: what tracking looks for lies
-    /// within that.
+    /// Where a camera of which little was known moves what is seen in a corner of the image by more than
+    /// this, the map is gone over for what the keyframes share, pixels. Default 4: what tracking looks for
+    /// lies within that.
     pub search_again_px: f64,
-    /// Two vanishing directions of a keyframe closer to perpendicular than this are taken for a right angle of
-    /// a building where the camera was not calibrated, degrees. Default 20: what a focal length that is a
+    /// Two vanishing directions of a keyframe closer to perpendicular than this are taken for a right angle
+    /// of a building where the camera was not calibrated, degrees. Default 20: what a focal length that is a
     /// quarter off makes of one.
     pub right_angle_gate_deg: f64,
     /// Standard deviation of such an angle beside that of the directions, degrees. Default 0.5.
@@ -97,15 +98,15 @@ pub struct CalibrationConfig {
     /// are exactly as given, brought 1 in the median and 10 to 21 in one of twenty; a camera off by 1 %, 15
     /// to 29.
     pub min_gain: f64,
-    /// It must differ as well from the present camera by this many standard deviations of itself, in any member,
-    /// with errors of keypoints as correlated as they turn out to be. Default 2.
+    /// It must differ as well from the present camera by this many standard deviations of itself, in any
+    /// member, with errors of keypoints as correlated as they turn out to be. Default 2.
     pub min_given_sigmas: f64,
     /// Decrease of χ² from which on one look is enough. Default 40: twice what any camera that was as given
     /// brought.
     pub certain_gain: f64,
-    /// Squared distance of the camera that fits best from the calibration, in standard deviations of both, from
-    /// which on two looks in a row need not agree on it to contradict the calibration. Default 100: they agree
-    /// that the calibration is that far off.
+    /// Squared distance of the camera that fits best from the calibration, in standard deviations of both,
+    /// from which on two looks in a row need not agree on it to contradict the calibration. Default 100: they
+    /// agree that the calibration is that far off.
     pub gross_contradiction: f64,
     /// A camera of which little was known is called undetermined where the standard deviation of its focal
     /// length is above this share of it. Default 0.1.

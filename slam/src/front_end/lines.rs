@@ -32,7 +32,14 @@ impl LineFrontEnd {
         let tracker =
             LineTracker::new(LineTrackerConfig::default()).map_err(|error| refuse(error.to_string()))?;
         let nominal = camera.with_correction(CameraCorrection::default());
-        Ok(Self { nominal, camera: camera.clone(), config: config.lines.clone(), detector, tracker, first_track })
+        Ok(Self {
+            nominal,
+            camera: camera.clone(),
+            config: config.lines.clone(),
+            detector,
+            tracker,
+            first_track,
+        })
     }
 
     pub fn set_camera(&mut self, camera: &Camera) {
@@ -70,8 +77,8 @@ fn turn(camera: &Camera, now_from_last: &UnitQuaternion<f64>, pixel: &Vector2<f3
     moved.map_or(*pixel, |moved| moved.cast())
 }
 
-/// A segment without lens distortion, and how far it is from straight, pixels. `None` where the lens model has
-/// no inverse.
+/// A segment without lens distortion, and how far it is from straight, pixels. `None` where the lens model
+/// has no inverse.
 fn undistort(segment: &Segment, camera: &Camera) -> Option<(Vector2<f64>, Vector2<f64>, f64)> {
     if !camera.is_distorted() {
         return Some((camera.undistort(&segment.start.cast())?, camera.undistort(&segment.end.cast())?, 0.0));

@@ -12,8 +12,8 @@ use crate::config::{InitializationConfig, SlamConfig, Threading};
 use crate::features::View;
 use crate::parallel;
 use crate::report::InitializationWait;
-use geometry::{CameraCorrection, Pose};
 use geometry::nalgebra::Vector3;
+use geometry::{CameraCorrection, Pose};
 use rand::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
@@ -265,6 +265,12 @@ fn refine(
     points.iter_mut().for_each(|(_, _, position)| *position /= unit);
     let pose = refined.second_from_first;
     let second_from_first = Pose::new(pose.rotation, pose.translation / unit);
-    let pair = InitialPair { first: first.clone(), second: second.clone(), second_from_first, points, hypothesis: None };
+    let pair = InitialPair {
+        first: first.clone(),
+        second: second.clone(),
+        second_from_first,
+        points,
+        hypothesis: None,
+    };
     (pair, refined.direction_sigma_deg)
 }

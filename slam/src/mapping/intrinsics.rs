@@ -4,9 +4,9 @@
 use crate::bundle::calibration::{Calibration, Estimate, Knowledge};
 use crate::bundle::global::{GlobalResult, adjust_to_camera};
 use crate::config::{CalibrationConfig, CalibrationTrust, SlamConfig};
+use crate::features::FrameFeatures;
 use crate::map::{Map, SubmapId};
 use crate::report::MapEvent;
-use crate::features::FrameFeatures;
 use geometry::nalgebra::Vector2;
 use geometry::{CameraCorrection, CorrectedPixels};
 use optim::chi2_95;
@@ -65,7 +65,12 @@ pub(super) struct IntrinsicsCheck {
 
 impl IntrinsicsMonitor {
     pub fn new(config: &CalibrationConfig) -> Self {
-        Self { next_keyframes: config.first_look(), memory: Memory::default(), moved_far: false, is_over: false }
+        Self {
+            next_keyframes: config.first_look(),
+            memory: Memory::default(),
+            moved_far: false,
+            is_over: false,
+        }
     }
 
     /// The submap by which the camera is to be looked at now, if it is; `share` of the planned keyframes
@@ -159,7 +164,8 @@ impl Look<'_> {
         let memory = Memory { is_known, doubt: None, is_undetermined, ..before };
         let undetermined = (is_undetermined && !before.is_undetermined)
             .then_some(MapEvent::CalibrationUndetermined { focal_sigma });
-        let nothing = IntrinsicsCheck { memory, event: None, is_over: false, adjusted: None, search_again: None };
+        let nothing =
+            IntrinsicsCheck { memory, event: None, is_over: false, adjusted: None, search_again: None };
         if !estimate.moves(&self.map.correction(), config.min_move_sigmas) {
             return Some(IntrinsicsCheck { event: undetermined, ..nothing });
         }
@@ -206,8 +212,7 @@ impl Look<'_> {
                 return self.find(config.knowledge_of_size(features), memory);
             }
             // A camera taken over earlier was a first step towards something that no camera explains.
-            let adjusted =
-                if self.map.correction().is_none() { None } else { Some(self.adjust(None)?) };
+            let adjusted = if self.map.correction().is_none() { None } else { Some(self.adjust(None)?) };
             let event = Some(MapEvent::CalibrationContradicted { correction });
             return Some(IntrinsicsCheck { event, adjusted, is_over: true, ..nothing });
         }

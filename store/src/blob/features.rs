@@ -43,7 +43,8 @@ pub(crate) struct MeasuredCounts {
 /// Packs a keyframe's features.
 pub(crate) fn encode_features(features: &FrameFeatures) -> Vec<u8> {
     let n = features.keypoints.len();
-    let mut bytes = Vec::with_capacity(64 + n * KEYPOINT_BYTES + features.nominal_lines().len() * SEGMENT_BYTES);
+    let mut bytes =
+        Vec::with_capacity(64 + n * KEYPOINT_BYTES + features.nominal_lines().len() * SEGMENT_BYTES);
     bytes.push(VERSION);
     bytes.extend((n as u32).to_le_bytes());
     let Pinhole { fx, fy, cx, cy } = features.nominal_pinhole;

@@ -4,14 +4,14 @@ mod json;
 
 use crate::number::{from_column, from_column_u32, to_column};
 use crate::{Page, Store, StoreError};
-use geometry::{Camera, CameraParameters, CameraCorrection};
+use geometry::{Camera, CameraCorrection, CameraParameters};
 use slam::map::{FrameState, LastIds};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 
-pub use json::{Calibration, SessionOptions};
 #[cfg(fuzzing)]
 pub(crate) use json::decode_camera;
+pub use json::{Calibration, SessionOptions};
 
 /// A session to be made.
 #[derive(Clone, Debug, PartialEq)]

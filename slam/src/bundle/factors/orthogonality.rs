@@ -1,4 +1,4 @@
-//! How far two vanishing directions of one view are from perpendicular, by a camera that is not exactly known.
+//! How far two vanishing directions of a view are from perpendicular, by a camera that is not exactly known.
 
 use super::calibrated_reprojection::{CorrectionVector, correction_of};
 use geometry::nalgebra::{Matrix3, SMatrix, Vector1, Vector3};
@@ -7,8 +7,9 @@ use optim::{Factor, Linearized};
 /// The angle between two directions of edges that a builder made perpendicular: two vanishing points of one
 /// image and a right angle give the focal length.
 ///
-/// `r(c) = d₁ · d₂ / σ` with `d = A_c w / ‖A_c w‖`, where `w` is a ray of the camera as it was given, and `A_c`
-/// takes it to that of the camera corrected by `c`. Radial distortion is taken to be out of `w` already.
+/// `r(c) = d₁ · d₂ / σ` with `d = A_c w / ‖A_c w‖`, where `w` is a ray of the camera as it was given, and
+/// `A_c` takes it to that of the camera corrected by `c`. Radial distortion is taken to be out of `w`
+/// already.
 #[derive(Clone, Copy, Debug)]
 pub struct OrthogonalityFactor {
     /// The rays towards the two vanishing points by the nominal pinhole.
@@ -70,7 +71,8 @@ mod tests {
                 ],
                 inverse_sigma: 50.0,
             };
-            let correction = CorrectionVector::from([4.0 * s.sin(), s.cos(), (3.0 * s).sin(), 1.0, 1.0]) * 0.05;
+            let correction =
+                CorrectionVector::from([4.0 * s.sin(), s.cos(), (3.0 * s).sin(), 1.0, 1.0]) * 0.05;
             optim::testing::assert_jacobians_match(&factor, &(correction,), 1e-6, 1e-5);
         }
     }
@@ -80,8 +82,7 @@ mod tests {
         // A corner of a room, seen across its diagonal by a camera of focal length 1.25 times the nominal.
         let truth = CorrectionVector::from([0.25, 0.0, 0.0, 0.0, 0.0]);
         let to_nominal = correction_of(&truth).nominal_from_corrected();
-        let nominal =
-            [Vector3::new(1.0, 0.0, 1.0), Vector3::new(-1.0, 0.0, 1.0)].map(|ray| to_nominal * ray);
+        let nominal = [Vector3::new(1.0, 0.0, 1.0), Vector3::new(-1.0, 0.0, 1.0)].map(|ray| to_nominal * ray);
         let factor = OrthogonalityFactor { nominal, inverse_sigma: 1.0 };
         assert!(factor.residual((&truth,)).unwrap().norm() < 1e-12);
         assert!(factor.residual((&CorrectionVector::zeros(),)).unwrap().norm() > 0.1);

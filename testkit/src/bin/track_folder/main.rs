@@ -6,9 +6,9 @@
 //!
 //! The dataset is a folder of a layout that `monoslam` reads, also looked for in the folder that
 //! `MONOSLAM_DATA` names. `--states` prints how many frames of each state are wrong, where the recording has
-//! a truth. `--unknown-camera` tells the engine the size of the
-//! image alone, `--approximate-camera` that the calibration is rough, `--wide-calibration` to give it up where
-//! the images contradict it; `--log` prints what it logs. Through the service, and measured against the truth, is the business of `monoslam`.
+//! a truth. `--unknown-camera` tells the engine the size of the image alone, `--approximate-camera` that the
+//! calibration is rough, `--wide-calibration` to give it up where the images contradict it; `--log` prints
+//! what it logs. Through the service, and measured against the truth, is the business of `monoslam`.
 
 mod states;
 
