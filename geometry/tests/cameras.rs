@@ -279,7 +279,6 @@ fn a_correction_may_bend_what_the_calibration_has_straight() {
             let back = camera.project(&(bearing * 2.3)).unwrap();
             assert!((back - pixel).norm() < 1e-7, "{:?} at {pixel}", camera.parameters().model);
             let undistorted = camera.undistort(&pixel).unwrap();
-            assert!((undistorted - nominal.undistort(&pixel).unwrap()).norm() < 0.5 * nominal.pinhole().fx);
             let error = (camera.pinhole().bearing(&undistorted) - bearing).norm();
             assert!(error < 1e-8, "{:?} at {pixel}: {error:e}", camera.parameters().model);
             assert!((camera.distort(&undistorted).unwrap() - pixel).norm() < 1e-7);
