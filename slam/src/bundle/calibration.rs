@@ -300,6 +300,7 @@ impl<'a> Calibration<'a> {
                     / expected_by_images(axis)
             })
             .fold(least, f64::max)
+            .min(self.config.most_inflation.max(least))
     }
 
     /// Standard deviations of the correction's members.

@@ -82,6 +82,9 @@ pub struct CalibrationConfig {
     /// Errors of keypoints count for as many times their variance as they are found to be correlated, and at
     /// least this. Default 4.
     pub least_inflation: f64,
+    /// The same at most: what disagrees more is a map of another camera, and does not speak for what was
+    /// known before. Default 25.
+    pub most_inflation: f64,
     /// Keyframes from which on a calibration that was given is tried. Default 10.
     pub min_keyframes: usize,
     /// Keyframes from which on a camera of which little is known is looked for. Default 4: three views and
@@ -232,6 +235,7 @@ impl Default for CalibrationConfig {
             search_iterations: 6,
             hopeless_cost: 100.0,
             least_inflation: 4.0,
+            most_inflation: 25.0,
             min_keyframes: 10,
             min_keyframes_while_unknown: 4,
             growth: 1.5,
