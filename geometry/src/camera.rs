@@ -1,10 +1,10 @@
 //! Real cameras: a pinhole behind a lens, validated.
 
-use nalgebra::{Matrix2x3, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 use thiserror::Error;
 
 use crate::distortion::{Distortion, Fov, KannalaBrandt, Radtan};
-use crate::{Pinhole, PinholeCorrection};
+use crate::{CameraCorrection, CorrectedPixels, Pinhole};
 
 /// Rays further than this from the optical axis are not undistorted: at 80 degrees one pixel of a fisheye
 /// image already covers 33 of the ideal pinhole, and at 90 the pinhole has no image at all.
@@ -115,7 +115,9 @@ pub struct Camera {
     parameters: CameraParameters,
     /// Of the calibration: what the lens model is written in.
     nominal: Pinhole,
-    correction: PinholeCorrection,
+    correction: CameraCorrection,
+    /// What the correction does to undistorted pixels.
+    pixels: CorrectedPixels,
     distortion: Distortion,
 }
 
@@ -174,8 +176,10 @@ impl Camera {
             }
             CameraModel::Fov => Distortion::Fov(Fov::new(d[0])),
         };
-        let correction = PinholeCorrection::default();
-        Self { nominal: Pinhole { fx, fy, cx, cy }, correction, distortion, parameters }
+        let correction = CameraCorrection::default();
+        let nominal = Pinhole { fx, fy, cx, cy };
+        let pixels = CorrectedPixels::new(&nominal, &correction);
+        Self { nominal, correction, pixels, distortion, parameters }
     }
 
     /// The calibration.
@@ -196,7 +200,7 @@ impl Camera {
     }
 
     /// The ideal camera with the focal lengths and principal point of the calibration. Undistorted pixels are
-    /// its pixels.
+    /// its pixels, unless the correction bends them.
     #[inline]
     pub fn nominal_pinhole(&self) -> Pinhole {
         self.nominal
@@ -208,29 +212,44 @@ impl Camera {
         self.correction.apply(&self.nominal)
     }
 
-    /// This camera with another correction of its calibration. Undistorted pixels stay as they are, only the
-    /// rays they belong to change.
+    /// This camera with another correction of its calibration. Unless it bends them, undistorted pixels stay
+    /// as they are, only the rays they belong to change.
     #[must_use]
-    pub fn with_correction(&self, correction: PinholeCorrection) -> Self {
-        Self { correction, ..self.clone() }
+    pub fn with_correction(&self, correction: CameraCorrection) -> Self {
+        let pixels = CorrectedPixels::new(&self.nominal, &correction);
+        Self { correction, pixels, ..self.clone() }
     }
 
-    /// The calibration with the focal lengths and the principal point put right. Exact without lens
-    /// distortion; with it the same to first order, as the lens model is written in the nominal ones.
+    /// The calibration with what was found put right. Exact for a calibration without lens distortion; else
+    /// the same to first order, as the lens model is written in the nominal focal lengths, and radial
+    /// distortion that a model other than `radtan` cannot take up is left out.
     pub fn corrected_parameters(&self) -> CameraParameters {
         let Pinhole { fx, fy, cx, cy } = self.pinhole();
-        CameraParameters { fx, fy, cx, cy, ..self.parameters.clone() }
+        let CameraParameters { mut model, mut distortion, width, height, .. } = self.parameters.clone();
+        if self.correction.bends() {
+            if model == CameraModel::Pinhole {
+                (model, distortion) = (CameraModel::Radtan, vec![0.0; 4]);
+            }
+            if model == CameraModel::Radtan {
+                distortion[0] += self.correction.k1;
+                distortion[1] += self.correction.k2;
+            }
+        }
+        CameraParameters { model, width, height, fx, fy, cx, cy, distortion }
     }
 
     /// How the camera differs from its calibration.
     #[inline]
-    pub fn correction(&self) -> PinholeCorrection {
+    pub fn correction(&self) -> CameraCorrection {
         self.correction
     }
 
     /// Whether the lens bends what an ideal camera would see straight.
     #[inline]
     pub fn is_distorted(&self) -> bool {
+        if self.correction.bends() {
+            return true;
+        }
         match self.parameters.model {
             CameraModel::Pinhole => false,
             CameraModel::Radtan => self.parameters.distortion.iter().any(|k| *k != 0.0),
@@ -245,7 +264,16 @@ impl Camera {
         if self.correction.is_none() {
             return self.project_nominal(point_in_camera);
         }
-        self.project_nominal(&(self.correction.nominal_from_corrected() * point_in_camera))
+        self.project_nominal(&(self.correction.nominal_from_corrected() * self.bend(point_in_camera)?))
+    }
+
+    /// The ray that is seen where `point_in_camera` is, had the correction no distortion. `None` beyond what
+    /// it is one-to-one for.
+    #[inline]
+    fn bend(&self, point_in_camera: &Vector3<f64>) -> Option<Vector3<f64>> {
+        let Some(radial) = self.pixels.radial() else { return Some(*point_in_camera) };
+        let bent = Distortion::Radtan(*radial).project(point_in_camera)?;
+        Some(bent.push(1.0))
     }
 
     fn project_nominal(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
@@ -258,14 +286,22 @@ impl Camera {
         &self,
         point_in_camera: &Vector3<f64>,
     ) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+        let (bent, d_bent_d_point) = match self.pixels.radial() {
+            None => (*point_in_camera, Matrix3::identity()),
+            Some(radial) => {
+                let (bent, jacobian) = Distortion::Radtan(*radial).project_with_jacobian(point_in_camera)?;
+                let mut d_bent_d_point = Matrix3::zeros();
+                d_bent_d_point.fixed_view_mut::<2, 3>(0, 0).copy_from(&jacobian);
+                (bent.push(1.0), d_bent_d_point)
+            }
+        };
         let nominal_from_corrected = self.correction.nominal_from_corrected();
-        let (p, mut jacobian) =
-            self.distortion.project_with_jacobian(&(nominal_from_corrected * point_in_camera))?;
+        let (p, mut jacobian) = self.distortion.project_with_jacobian(&(nominal_from_corrected * bent))?;
         for column in 0..3 {
             jacobian[(0, column)] *= self.nominal.fx;
             jacobian[(1, column)] *= self.nominal.fy;
         }
-        Some((self.nominal.denormalized(&p), jacobian * nominal_from_corrected))
+        Some((self.nominal.denormalized(&p), jacobian * nominal_from_corrected * d_bent_d_point))
     }
 
     /// The unit vector, in the camera frame, towards what is seen at `pixel`. `None` where the model has no
@@ -276,17 +312,26 @@ impl Camera {
         if self.correction.is_none() {
             return Some(nominal);
         }
-        Some((self.correction.corrected_from_nominal() * nominal).normalize())
+        let bent = self.correction.corrected_from_nominal() * nominal;
+        match self.pixels.radial() {
+            None => Some(bent.normalize()),
+            Some(_) if bent.z <= 0.0 => None,
+            Some(radial) => Distortion::Radtan(*radial).unproject(&(bent.xy() / bent.z)),
+        }
     }
 
     fn unproject_nominal(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
         self.distortion.unproject(&self.nominal.normalized(pixel))
     }
 
-    /// Where the ideal pinhole sees what this camera sees at `pixel`. `None` further than
+    /// Where the corrected ideal pinhole sees what this camera sees at `pixel`. `None` further than
     /// [`MAX_UNDISTORTED_ANGLE_DEG`] from the axis.
     #[inline]
     pub fn undistort(&self, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
+        self.undistort_nominal(pixel).map(|nominal_px| self.pixels.ideal(&nominal_px))
+    }
+
+    fn undistort_nominal(&self, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
         if self.distortion == Distortion::None {
             return (pixel.x.is_finite() && pixel.y.is_finite()).then_some(*pixel);
         }
@@ -294,11 +339,11 @@ impl Camera {
         (bearing.z > MAX_UNDISTORTED_ANGLE_DEG.to_radians().cos()).then(|| self.nominal.project(&bearing))
     }
 
-    /// Where this camera sees what the ideal pinhole sees at `pixel`; the inverse of
+    /// Where this camera sees what the corrected ideal pinhole sees at `pixel`; the inverse of
     /// [`undistort`](Self::undistort).
     #[inline]
     pub fn distort(&self, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
-        let p = self.nominal.normalized(pixel);
+        let p = self.nominal.normalized(&self.pixels.nominal(pixel));
         self.project_nominal(&Vector3::new(p.x, p.y, 1.0))
     }
 
@@ -309,10 +354,11 @@ impl Camera {
         let mut low = Vector2::repeat(f64::INFINITY);
         let mut high = Vector2::repeat(f64::NEG_INFINITY);
         for pixel in self.border() {
-            let undistorted = self.undistort(&pixel).unwrap_or_else(|| {
+            let nominal_px = self.undistort_nominal(&pixel).unwrap_or_else(|| {
                 let outwards = self.nominal.normalized(&pixel).normalize();
                 self.nominal.denormalized(&(outwards * max_radius))
             });
+            let undistorted = self.pixels.ideal(&nominal_px);
             low = low.inf(&undistorted);
             high = high.sup(&undistorted);
         }

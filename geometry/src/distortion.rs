@@ -218,7 +218,7 @@ impl Radtan {
     }
 
     #[inline]
-    fn distort(&self, p: &Vector2<f64>) -> Vector2<f64> {
+    pub(crate) fn distort(&self, p: &Vector2<f64>) -> Vector2<f64> {
         let (x, y) = (p.x, p.y);
         let r2 = x * x + y * y;
         let (factor, _) = self.factor(r2);
@@ -229,7 +229,7 @@ impl Radtan {
     }
 
     #[inline]
-    fn jacobian(&self, p: &Vector2<f64>) -> Matrix2<f64> {
+    pub(crate) fn jacobian(&self, p: &Vector2<f64>) -> Matrix2<f64> {
         let (x, y) = (p.x, p.y);
         let (factor, d_factor) = self.factor(x * x + y * y);
         let cross = 2.0 * x * y * d_factor + 2.0 * self.p1 * x + 2.0 * self.p2 * y;
@@ -244,9 +244,26 @@ impl Radtan {
     /// Newton's method from a first guess, which nearly always converges; else from the safe inverse of the
     /// radial part. Within `limit` the model is one-to-one, so any solution found there is the solution.
     #[inline]
-    fn undistort(&self, distorted: &Vector2<f64>) -> Option<Vector2<f64>> {
+    pub(crate) fn undistort(&self, distorted: &Vector2<f64>) -> Option<Vector2<f64>> {
         let guess = distorted / self.factor(distorted.norm_squared()).0;
         self.newton(guess, distorted).or_else(|| self.newton(self.radial_inverse(distorted)?, distorted))
+    }
+
+    /// Where `p` of the plane `z = 1` is seen; beyond the limit as at its edge.
+    #[inline]
+    pub(crate) fn distort_anywhere(&self, p: &Vector2<f64>) -> Vector2<f64> {
+        let radius = p.norm();
+        if radius <= self.limit { self.distort(p) } else { p * self.factor(self.limit * self.limit).0 }
+    }
+
+    /// Reverses [`distort_anywhere`](Self::distort_anywhere) for a model without tangential part.
+    #[inline]
+    pub(crate) fn undistort_anywhere(&self, distorted: &Vector2<f64>) -> Vector2<f64> {
+        let at_edge = self.factor(self.limit * self.limit).0;
+        if distorted.norm() >= self.limit * at_edge {
+            return distorted / at_edge;
+        }
+        self.undistort(distorted).unwrap_or(distorted / at_edge)
     }
 
     /// The inverse without the tangential part.

@@ -43,6 +43,7 @@ pub mod triangulation;
 pub mod two_view;
 
 mod camera;
+mod correction;
 mod direction;
 mod distortion;
 mod pinhole;
@@ -51,9 +52,10 @@ mod pose;
 mod similarity;
 
 pub use camera::{Camera, CameraError, CameraModel, CameraParameters, MAX_UNDISTORTED_ANGLE_DEG};
+pub use correction::{CameraCorrection, CorrectedPixels};
 pub use direction::Direction;
 pub use line::{Line3, OrthonormalLine};
 pub use nalgebra;
-pub use pinhole::{Pinhole, PinholeCorrection};
+pub use pinhole::Pinhole;
 pub use pose::Pose;
 pub use similarity::Similarity;

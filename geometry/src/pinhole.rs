@@ -2,49 +2,6 @@
 
 use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 
-/// How a camera differs from its calibration in focal length and principal point; the same at every size of
-/// the image.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PinholeCorrection {
-    /// Relative change of both focal lengths.
-    pub focal: f64,
-    /// Shift of the principal point to the right, in horizontal focal lengths.
-    pub center_x: f64,
-    /// Shift of the principal point downwards, in vertical focal lengths.
-    pub center_y: f64,
-}
-
-impl PinholeCorrection {
-    /// The corrected camera.
-    pub fn apply(&self, nominal: &Pinhole) -> Pinhole {
-        Pinhole {
-            fx: nominal.fx * (1.0 + self.focal),
-            fy: nominal.fy * (1.0 + self.focal),
-            cx: nominal.cx + nominal.fx * self.center_x,
-            cy: nominal.cy + nominal.fy * self.center_y,
-        }
-    }
-
-    /// Whether it changes nothing.
-    pub fn is_none(&self) -> bool {
-        *self == Self::default()
-    }
-
-    /// Takes a ray of the corrected camera to that of the nominal one which is seen at the same pixel. Linear
-    /// in the ray.
-    pub fn nominal_from_corrected(&self) -> Matrix3<f64> {
-        let focal = 1.0 + self.focal;
-        Matrix3::new(focal, 0.0, self.center_x, 0.0, focal, self.center_y, 0.0, 0.0, 1.0)
-    }
-
-    /// Reverses [`nominal_from_corrected`](Self::nominal_from_corrected).
-    pub fn corrected_from_nominal(&self) -> Matrix3<f64> {
-        let by_focal = 1.0 / (1.0 + self.focal);
-        let (x, y) = (-self.center_x * by_focal, -self.center_y * by_focal);
-        Matrix3::new(by_focal, 0.0, x, 0.0, by_focal, y, 0.0, 0.0, 1.0)
-    }
-}
-
 /// A camera without distortion: `u = fx x/z + cx`, `v = fy y/z + cy`.
 ///
 /// The rest of the system works in the pixels of this camera; [`Camera`](crate::Camera) goes between these

@@ -3,7 +3,7 @@
 mod support;
 
 use geometry::nalgebra::{Vector2, Vector3};
-use geometry::{Camera, CameraModel, CameraParameters, Pinhole, PinholeCorrection};
+use geometry::{Camera, CameraCorrection, CameraModel, CameraParameters, Pinhole};
 use rand::Rng;
 use support::{assert_close, generators, numeric_jacobian};
 
@@ -302,7 +302,8 @@ fn wrong_calibrations_are_refused_by_field() {
     );
 }
 
-const CORRECTION: PinholeCorrection = PinholeCorrection { focal: -0.02, center_x: 0.01, center_y: -0.005 };
+const CORRECTION: CameraCorrection =
+    CameraCorrection { focal: -0.02, center_x: 0.01, center_y: -0.005, k1: 0.0, k2: 0.0 };
 
 #[test]
 fn a_corrected_camera_sees_the_same_pixels_by_other_rays() {
@@ -328,6 +329,54 @@ fn a_corrected_camera_sees_the_same_pixels_by_other_rays() {
 }
 
 #[test]
+fn a_correction_may_bend_what_the_calibration_has_straight() {
+    let bending = CameraCorrection { k1: -0.05, k2: 0.01, ..CORRECTION };
+    for nominal in all_cameras() {
+        let camera = nominal.with_correction(bending);
+        let (low, high) = camera.undistorted_bounds();
+        for pixel in pixels(&camera) {
+            // Beyond where the two models together are one-to-one there is no ray.
+            let Some(bearing) = camera.unproject(&pixel).filter(|bearing| bearing.z > 0.3) else { continue };
+            let back = camera.project(&(bearing * 2.3)).unwrap();
+            assert!((back - pixel).norm() < 1e-7, "{:?} at {pixel}", camera.parameters().model);
+            let undistorted = camera.undistort(&pixel).unwrap();
+            let error = (camera.pinhole().bearing(&undistorted) - bearing).norm();
+            assert!(error < 1e-8, "{:?} at {pixel}: {error:e}", camera.parameters().model);
+            assert!((camera.distort(&undistorted).unwrap() - pixel).norm() < 1e-7);
+            let slack = 1e-3 * (high - low).norm();
+            assert!(undistorted.x >= low.x - slack && undistorted.x <= high.x + slack);
+        }
+        let point = Vector3::new(0.3, -0.2, 1.3);
+        let (_, jacobian) = camera.project_with_jacobian(&point).unwrap();
+        let numeric = numeric_jacobian(|p| camera.project(p).unwrap(), &point, 1e-6);
+        assert_close(&jacobian, &numeric, 1e-6, "bending");
+    }
+}
+
+#[test]
+fn a_pinhole_that_turned_out_to_bend_is_written_as_what_it_is() {
+    let nominal = Camera::new(CameraParameters {
+        model: CameraModel::Pinhole,
+        width: 752,
+        height: 480,
+        fx: 600.0,
+        fy: 600.0,
+        cx: 375.5,
+        cy: 239.5,
+        distortion: Vec::new(),
+    })
+    .unwrap();
+    let bending = CameraCorrection { focal: -0.24, center_x: -0.014, center_y: 0.015, k1: -0.28, k2: 0.07 };
+    let found = nominal.with_correction(bending);
+    let written = Camera::new(found.corrected_parameters()).unwrap();
+    assert_eq!(written.parameters().model, CameraModel::Radtan);
+    for pixel in pixels(&nominal) {
+        let error = (found.unproject(&pixel).unwrap() - written.unproject(&pixel).unwrap()).norm();
+        assert!(error < 1e-9, "{pixel}: {error:e}");
+    }
+}
+
+#[test]
 fn a_correction_means_the_same_at_every_size() {
     for nominal in all_cameras() {
         let (one, other) = (
@@ -347,5 +396,5 @@ fn rays_go_there_and_back() {
     let ray = Vector3::new(0.3, -0.4, 1.2);
     let there = CORRECTION.nominal_from_corrected() * ray;
     assert!((CORRECTION.corrected_from_nominal() * there - ray).norm() < 1e-15);
-    assert!(PinholeCorrection::default().is_none() && !CORRECTION.is_none());
+    assert!(CameraCorrection::default().is_none() && !CORRECTION.is_none());
 }

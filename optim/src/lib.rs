@@ -90,7 +90,7 @@ pub use factor::{Factor, HoldSecond, Jacobians, Linearized, Residual, ValueRefs,
 pub use kernel::{Kernel, chi2_95};
 pub use manifold::{Manifold, Tangent};
 pub use pose_only::{SingleOptions, SingleReport, UnaryGroup, UnaryTerms, optimize_single};
-pub use problem::{GroupId, Problem};
+pub use problem::{ClusteredCovariance, GroupId, Problem};
 pub use reduced::LinearSolver;
 pub use solver::{SolveReport, SolverOptions, StopReason};
 pub use variables::VariableId;

@@ -378,3 +378,23 @@ fn two_landmarks_in_a_factor_are_refused() {
     let line = problem.add_landmark(line_through([Vector3::x(), Vector3::y()]));
     problem.add_factors(Kernel::None, [((line, direction), LineDirection { sigma_rad: 0.1 })]);
 }
+
+#[test]
+fn clustered_residuals_tell_a_covariance_of_their_own() {
+    let world = World::new(WorldSize { n_cameras: 5, n_points: 120, n_observations: 500 }, 1.0, 31);
+    let mut bundle = Bundle::new(&world, Kernel::None);
+    bundle.problem.solve(&SolverOptions::default(), never);
+    let n = bundle.problem.factors(bundle.group).len();
+    let each: Vec<usize> = (0..n).collect();
+    let found = bundle.problem.clustered_covariance(bundle.poses[3], bundle.group, &each).unwrap();
+    let expected = bundle.problem.marginal_covariance(bundle.poses[3]).unwrap();
+    assert!((&found.expected - &expected).amax() < 1e-12 * expected.amax());
+    // Independent errors of the size that was stated: both ways agree but for chance and what was fitted.
+    let ratio = found.observed.trace() / expected.trace();
+    assert!((0.3..1.5).contains(&ratio), "{ratio}");
+    // All errors as one cluster: at the minimum they cancel.
+    let one = vec![0; n];
+    let found = bundle.problem.clustered_covariance(bundle.poses[3], bundle.group, &one).unwrap();
+    assert!(found.observed.trace() < 1e-6 * expected.trace(), "{}", found.observed.trace());
+    assert!(bundle.problem.clustered_covariance(bundle.poses[0], bundle.group, &each).is_none());
+}

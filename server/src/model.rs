@@ -22,17 +22,21 @@ pub struct Camera {
     /// Image height.
     #[schema(example = 480)]
     pub height: u32,
-    /// Horizontal focal length.
+    /// Horizontal focal length. All four left out: the camera is given by its size alone.
     #[schema(example = 525.0)]
+    #[serde(default)]
     pub fx: f64,
     /// Vertical focal length.
     #[schema(example = 525.0)]
+    #[serde(default)]
     pub fy: f64,
     /// Principal point, horizontal.
     #[schema(example = 319.5)]
+    #[serde(default)]
     pub cx: f64,
     /// Principal point, vertical.
     #[schema(example = 239.5)]
+    #[serde(default)]
     pub cy: f64,
     /// Coefficients of the model: none; `k1 k2 p1 p2 [k3 [k4 k5 k6]]`; `k1 k2 k3 k4`; `omega`.
     #[serde(default)]

@@ -1,8 +1,9 @@
 //! What a client asks of a session, and what the engine runs with then.
 
-use crate::error::{ApiError, FieldViolation};
+use crate::error::{ApiError, ErrorCode, FieldViolation};
+use geometry::CameraParameters;
 use serde::{Deserialize, Serialize};
-use slam::{FeatureSwitches, SlamConfig, Threading};
+use slam::{CalibrationConfig, CalibrationTrust, FeatureSwitches, SlamConfig, Threading};
 use store::SessionRecord;
 use utoipa::ToSchema;
 
@@ -38,12 +39,47 @@ pub struct SessionOptions {
     /// Most keyframes the session keeps.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_keyframes: Option<u32>,
+    /// How far what is said of the camera is to be believed; left out it is as if calibrated, or unknown
+    /// where the camera is given by its size alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<Calibration>,
 }
 
-/// Conversion between two types with a field for each option. Naming each makes the compiler see when one is
-/// added.
-macro_rules! convert_options {
+/// How far what is said of a camera is to be believed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Calibration {
+    /// It was calibrated: little is changed, and only what the images prove.
+    Given,
+    /// Its focal length is known roughly, as from a field of view.
+    Approximate,
+    /// Nothing is known but the size of the image: focal length, principal point and radial distortion are
+    /// found.
+    Unknown,
+}
+
+macro_rules! same_words {
     ($from:path => $to:path) => {
+        impl From<$from> for $to {
+            fn from(calibration: $from) -> Self {
+                match calibration {
+                    <$from>::Given => Self::Given,
+                    <$from>::Approximate => Self::Approximate,
+                    <$from>::Unknown => Self::Unknown,
+                }
+            }
+        }
+    };
+}
+same_words!(Calibration => store::Calibration);
+same_words!(store::Calibration => Calibration);
+same_words!(Calibration => CalibrationTrust);
+
+/// Conversion between two types with a field for each option. Naming each makes the compiler see when one is
+/// added. Behind `without` stand those that the first type alone has, behind `with` those of the second
+/// alone.
+macro_rules! convert_options {
+    ($from:path => $to:path $(, without $ignored:ident)* $(, with $own:ident = $value:expr)* $(, as $same:ident)*) => {
         impl From<$from> for $to {
             fn from(options: $from) -> Self {
                 let $from {
@@ -56,6 +92,8 @@ macro_rules! convert_options {
                     loop_closing,
                     refine_calibration,
                     max_keyframes,
+                    $($ignored: _,)*
+                    $($same,)*
                 } = options;
                 Self {
                     deterministic,
@@ -67,13 +105,15 @@ macro_rules! convert_options {
                     loop_closing,
                     refine_calibration,
                     max_keyframes,
+                    $($own: $value,)*
+                    $($same: $same.map(Into::into),)*
                 }
             }
         }
     };
 }
-convert_options!(SessionOptions => store::SessionOptions);
-convert_options!(store::SessionOptions => SessionOptions);
+convert_options!(SessionOptions => store::SessionOptions, as calibration);
+convert_options!(store::SessionOptions => SessionOptions, as calibration);
 pub(crate) use convert_options;
 
 impl SessionOptions {
@@ -89,8 +129,24 @@ impl SessionOptions {
             loop_closing: changes.loop_closing.or(self.loop_closing),
             refine_calibration: changes.refine_calibration.or(self.refine_calibration),
             max_keyframes: changes.max_keyframes.or(self.max_keyframes),
+            calibration: changes.calibration.or(self.calibration),
         }
     }
+}
+
+/// The camera that a session begins with, and its options: one that is given by its size alone, or of which
+/// no more is to be believed, is guessed, and found as the map grows.
+pub fn camera_to_begin_with(
+    camera: CameraParameters,
+    options: SessionOptions,
+) -> (CameraParameters, SessionOptions) {
+    let is_size_alone = [camera.fx, camera.fy, camera.cx, camera.cy].iter().all(|value| *value == 0.0);
+    let calibration = options.calibration.or(is_size_alone.then_some(Calibration::Unknown));
+    let options = SessionOptions { calibration, ..options };
+    if calibration != Some(Calibration::Unknown) {
+        return (camera, options);
+    }
+    (CalibrationConfig::default().camera_of_size(camera.width, camera.height), options)
 }
 
 /// The engine's configuration for a stored session.
@@ -123,6 +179,7 @@ pub fn engine_config(options: &SessionOptions) -> Result<SlamConfig, ApiError> {
         loop_closing: options.loop_closing.unwrap_or(config.features.loop_closing),
         refine_calibration: options.refine_calibration.unwrap_or(config.features.refine_calibration),
     };
+    config.calibration.trust = options.calibration.map_or(config.calibration.trust, Into::into);
     if options.deterministic == Some(true) {
         config.threading = Threading::Inline;
     }
@@ -185,6 +242,21 @@ mod tests {
         assert_eq!(switches(Some(false), None).unwrap(), (false, false), "no lines, no primitives");
         let open = SessionOptions { loop_closing: Some(false), ..SessionOptions::default() };
         assert!(!engine_config(&open).unwrap().features.loop_closing);
+    }
+
+    #[test]
+    fn a_camera_of_which_only_the_size_is_given_is_unknown() {
+        let size = CalibrationConfig::default().camera_of_size(640, 480);
+        let alone = CameraParameters { fx: 0.0, fy: 0.0, cx: 0.0, cy: 0.0, ..size.clone() };
+        let (camera, options) = camera_to_begin_with(alone, SessionOptions::default());
+        assert_eq!((&camera, options.calibration), (&size, Some(Calibration::Unknown)));
+        assert_eq!(engine_config(&options).unwrap().calibration.trust, CalibrationTrust::Unknown);
+        // What is given is used unless it is not to be believed.
+        let given = CameraParameters { fx: 500.0, ..size.clone() };
+        let (camera, options) = camera_to_begin_with(given.clone(), SessionOptions::default());
+        assert_eq!((&camera, options.calibration), (&given, None));
+        let doubted = SessionOptions { calibration: Some(Calibration::Unknown), ..options };
+        assert_eq!(camera_to_begin_with(given, doubted).0, size);
     }
 
     #[test]

@@ -4,13 +4,14 @@ use crate::access::{self, Access, Caller, Change};
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
 use crate::maps::{MapQueries, Observed, SceneParts};
-use crate::options::{SessionOptions, engine_config};
+use crate::options::{SessionOptions, camera_to_begin_with, engine_config};
 use crate::page::{Page, PageRequest};
 use crate::session::{
     self, FrameQueue, LoadContext, Located, OpenRequest, Registry, Replies, Reply, SentImage, SessionId,
     SessionView, ShownFrame,
 };
 use geometry::{Camera, CameraParameters};
+use slam::CalibrationConfig;
 use std::sync::Arc;
 use std::time::Duration;
 use store::{SessionChanges, SessionRecord, Store, StoredImage};
@@ -93,6 +94,7 @@ impl Service {
     pub async fn create_session(&self, caller: &Caller, new: NewSession) -> Result<SessionView, ApiError> {
         self.registry.check_open()?;
         let NewSession { id, camera, options } = new;
+        let (camera, options) = camera_to_begin_with(camera, options);
         check_image_size(&camera, self.config.limits.max_image_pixels)?;
         let camera = check_camera(camera)?;
         engine_config(&options)?;
@@ -112,7 +114,9 @@ impl Service {
         let record = self.store.create_session(&new).await?;
         *n_sessions += 1;
         access::record(caller, Change::Created, &id);
-        for warning in warnings {
+        let doubts = CalibrationConfig::default().suspicion(&record.camera);
+        let doubts = doubts.map(|doubt| format!("the calibration is doubtful: {doubt}"));
+        for warning in warnings.into_iter().chain(doubts) {
             tracing::warn!(session.id = %id, "session {id}: {warning}");
         }
         Ok(self.view(&id, record))

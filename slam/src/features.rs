@@ -1,9 +1,15 @@
 //! What the front end measures in one image, in the coordinates the back end works in.
 
-use geometry::nalgebra::Vector2;
-use geometry::{Camera, Pinhole, PinholeCorrection};
+use geometry::nalgebra::{Matrix2, SymmetricEigen, Vector2};
+use geometry::{Camera, CameraCorrection, CorrectedPixels, Pinhole};
 use std::sync::Arc;
+use vision::vanishing::SegmentPlane;
 use vision::{Descriptor, Features, GridBounds, Keypoint, KeypointGrid};
+
+/// Distance of the places at which a segment is undistorted, pixels: lens models bend little between them.
+const UNDISTORTION_STEP_PX: f64 = 16.0;
+/// The same at most, for segments across the whole image.
+const MAX_UNDISTORTION_STEPS: usize = 32;
 
 /// The resolutions features are looked for in.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,7 +75,7 @@ pub(crate) struct View {
 
 impl View {
     /// Has its rays be those of a camera corrected this way.
-    pub fn correct_camera(&mut self, correction: &PinholeCorrection) {
+    pub fn correct_camera(&mut self, correction: &CameraCorrection) {
         if !self.features.has_correction(correction) {
             self.features = Arc::new(self.features.with_correction(correction));
         }
@@ -82,16 +88,17 @@ impl View {
 pub struct FrameFeatures {
     /// Keypoints as detected, in pixels of the working image.
     pub keypoints: Vec<Keypoint>,
-    /// The same keypoints without lens distortion, in pixels of the ideal pinhole camera.
+    /// The same keypoints without lens distortion, in pixels of the ideal pinhole camera: those of the
+    /// calibration, and of its correction where that bends them.
     pub undistorted: Vec<Vector2<f64>>,
     /// One binary descriptor per keypoint.
     pub descriptors: Vec<Descriptor>,
     /// Line segments.
     pub lines: Vec<LineFeature>,
-    /// The ideal camera of the calibration, in whose pixels the undistorted coordinates are.
+    /// The ideal camera of the calibration.
     pub nominal_pinhole: Pinhole,
-    /// The ideal camera that sees these pixels: the nominal one, corrected as far as the session knows
-    /// better.
+    /// The ideal camera that sees the undistorted coordinates: the nominal one, corrected as far as the
+    /// session knows better.
     pub pinhole: Pinhole,
     /// The resolutions the keypoints were looked for in.
     pub pyramid: PyramidGeometry,
@@ -99,6 +106,18 @@ pub struct FrameFeatures {
     pub bounds: GridBounds,
     /// Index of the undistorted positions for window queries.
     pub(crate) grid: KeypointGrid,
+    /// How the camera differs from its calibration.
+    correction: CameraCorrection,
+    /// Where all lies by the calibration alone, if the correction bends that.
+    nominal: Option<Arc<NominalPlaces>>,
+}
+
+/// Undistorted places by the calibration alone.
+#[derive(Clone, Debug)]
+struct NominalPlaces {
+    points: Vec<Vector2<f64>>,
+    lines: Vec<LineFeature>,
+    bounds: GridBounds,
 }
 
 impl FrameFeatures {
@@ -141,31 +160,98 @@ impl FrameFeatures {
         camera: &Camera,
         pyramid: PyramidGeometry,
     ) -> Self {
-        let (min, max) = camera.undistorted_bounds();
+        let nominal_camera = camera.with_correction(CameraCorrection::default());
+        let (min, max) = nominal_camera.undistorted_bounds();
         let bounds =
             GridBounds { min_x: min.x as f32, min_y: min.y as f32, max_x: max.x as f32, max_y: max.y as f32 };
-        let entries =
-            keypoints.iter().zip(&undistorted).map(|(keypoint, p)| (p.x as f32, p.y as f32, keypoint.octave));
-        let grid = KeypointGrid::from_entries(entries, bounds);
-        let (lines, nominal_pinhole, pinhole) = (Vec::new(), camera.nominal_pinhole(), camera.pinhole());
-        Self { keypoints, undistorted, descriptors, lines, nominal_pinhole, pinhole, pyramid, bounds, grid }
+        let grid = index(&keypoints, &undistorted, bounds);
+        let (lines, nominal_pinhole) = (Vec::new(), camera.nominal_pinhole());
+        let (pinhole, correction, nominal) = (nominal_pinhole, CameraCorrection::default(), None);
+        Self {
+            keypoints,
+            undistorted,
+            descriptors,
+            lines,
+            nominal_pinhole,
+            pinhole,
+            pyramid,
+            bounds,
+            grid,
+            correction,
+            nominal,
+        }
+        .with_correction(&camera.correction())
     }
 
-    /// The same features with these lines.
+    /// The same features with these lines, undistorted by the calibration alone.
     #[must_use]
     pub fn with_lines(self, lines: Vec<LineFeature>) -> Self {
-        Self { lines, ..self }
+        let correction = self.correction;
+        if !correction.bends() {
+            return Self { lines, ..self };
+        }
+        Self { lines, ..self.with_correction(&CameraCorrection::default()) }.with_correction(&correction)
+    }
+
+    /// The lines undistorted by the calibration alone.
+    pub fn nominal_lines(&self) -> &[LineFeature] {
+        self.nominal.as_ref().map_or(&self.lines, |nominal| &nominal.lines)
+    }
+
+    /// A keypoint undistorted by the calibration alone, pixels of the nominal pinhole.
+    #[inline]
+    pub(crate) fn nominal_px(&self, feature_idx: usize) -> Vector2<f64> {
+        self.nominal.as_ref().map_or(&self.undistorted, |nominal| &nominal.points)[feature_idx]
+    }
+
+    /// Least and greatest coordinates in the image, undistorted by the calibration alone.
+    pub(crate) fn nominal_corners(&self) -> (Vector2<f64>, Vector2<f64>) {
+        let GridBounds { min_x, min_y, max_x, max_y } =
+            self.nominal.as_ref().map_or(self.bounds, |nominal| nominal.bounds);
+        (Vector2::new(min_x, min_y).cast(), Vector2::new(max_x, max_y).cast())
+    }
+
+    /// How the camera whose rays these are differs from its calibration.
+    pub fn correction(&self) -> CameraCorrection {
+        self.correction
     }
 
     /// Whether the rays of its pixels are those of a camera corrected this way.
-    pub(crate) fn has_correction(&self, correction: &PinholeCorrection) -> bool {
-        self.pinhole == correction.apply(&self.nominal_pinhole)
+    pub(crate) fn has_correction(&self, correction: &CameraCorrection) -> bool {
+        self.correction == *correction
     }
 
-    /// The same features seen by a camera corrected this way: the pixels stay, the rays change.
+    /// The same features seen by a camera corrected this way. Undistorted pixels stay unless it bends them;
+    /// the rays change. It does not matter which correction there was before.
     #[must_use]
-    pub(crate) fn with_correction(&self, correction: &PinholeCorrection) -> Self {
-        Self { pinhole: correction.apply(&self.nominal_pinhole), ..self.clone() }
+    pub(crate) fn with_correction(&self, correction: &CameraCorrection) -> Self {
+        let mut features = self.clone();
+        features.pinhole = correction.apply(&self.nominal_pinhole);
+        features.correction = *correction;
+        if !correction.bends() && self.nominal.is_none() {
+            return features;
+        }
+        let nominal = self.nominal.clone().unwrap_or_else(|| {
+            Arc::new(NominalPlaces {
+                points: self.undistorted.clone(),
+                lines: self.lines.clone(),
+                bounds: self.bounds,
+            })
+        });
+        let pixels = CorrectedPixels::new(&self.nominal_pinhole, correction);
+        features.undistorted = nominal.points.iter().map(|place| pixels.ideal(place)).collect();
+        features.lines = nominal.lines.iter().map(|line| unbend(line, &pixels, correction)).collect();
+        features.bounds = unbend_bounds(&nominal.bounds, &pixels);
+        features.grid = index(&self.keypoints, &features.undistorted, features.bounds);
+        features.nominal = correction.bends().then_some(nominal);
+        features
+    }
+
+    /// The plane through the camera in which the line of a segment lies.
+    pub(crate) fn segment_plane(&self, line_idx: usize) -> Option<SegmentPlane> {
+        let segment = self.lines.get(line_idx)?;
+        let [start, end] = [segment.start, segment.end].map(|pixel| self.pinhole.normalized(&pixel));
+        SegmentPlane::from_normalized(&start, &end, segment.sigma_px / self.pinhole.mean_focal_px())
     }
 
     /// How many keypoints there are.
@@ -200,4 +286,61 @@ impl FrameFeatures {
 
 fn undistort(keypoint: &Keypoint, camera: &Camera) -> Option<Vector2<f64>> {
     camera.undistort(&Vector2::new(f64::from(keypoint.x), f64::from(keypoint.y)))
+}
+
+fn index(keypoints: &[Keypoint], undistorted: &[Vector2<f64>], bounds: GridBounds) -> KeypointGrid {
+    let entries =
+        keypoints.iter().zip(undistorted).map(|(keypoint, p)| (p.x as f32, p.y as f32, keypoint.octave));
+    KeypointGrid::from_entries(entries, bounds)
+}
+
+fn unbend(line: &LineFeature, pixels: &CorrectedPixels, correction: &CameraCorrection) -> LineFeature {
+    if !correction.bends() {
+        return *line;
+    }
+    match straighten(&line.start, &line.end, |place| Some(pixels.ideal(place))) {
+        Some((start, end, bow_px)) => {
+            LineFeature { start, end, sigma_px: line.sigma_px.hypot(bow_px), ..*line }
+        }
+        None => *line,
+    }
+}
+
+/// The box about where the border of one goes.
+fn unbend_bounds(bounds: &GridBounds, pixels: &CorrectedPixels) -> GridBounds {
+    const STEPS: u32 = 16;
+    let GridBounds { min_x, min_y, max_x, max_y } = *bounds;
+    let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
+    for step in 0..=STEPS {
+        let share = step as f32 / STEPS as f32;
+        let (x, y) = (min_x + share * (max_x - min_x), min_y + share * (max_y - min_y));
+        for (x, y) in [(x, min_y), (x, max_y), (min_x, y), (max_x, y)] {
+            let place = pixels.ideal(&Vector2::new(f64::from(x), f64::from(y)));
+            (low, high) = (low.inf(&place), high.sup(&place));
+        }
+    }
+    GridBounds { min_x: low.x as f32, min_y: low.y as f32, max_x: high.x as f32, max_y: high.y as f32 }
+}
+
+/// The straight line through the undistorted places along a segment, cut where its ends are, and the root
+/// mean square distance of those places from it, pixels. `None` where the lens model has no inverse.
+pub(crate) fn straighten(
+    start: &Vector2<f64>,
+    end: &Vector2<f64>,
+    undistort: impl Fn(&Vector2<f64>) -> Option<Vector2<f64>>,
+) -> Option<(Vector2<f64>, Vector2<f64>, f64)> {
+    let n_steps =
+        (((end - start).norm() / UNDISTORTION_STEP_PX).ceil() as usize).clamp(2, MAX_UNDISTORTION_STEPS);
+    let places = (0..=n_steps)
+        .map(|step| undistort(&(start + (end - start) * (step as f64 / n_steps as f64))))
+        .collect::<Option<Vec<Vector2<f64>>>>()?;
+    let n = places.len() as f64;
+    let center = places.iter().sum::<Vector2<f64>>() / n;
+    let scatter: Matrix2<f64> =
+        places.iter().map(|place| (place - center) * (place - center).transpose()).sum::<Matrix2<f64>>() / n;
+    let eigen = SymmetricEigen::new(scatter);
+    let along = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
+    let on_line = |end: Vector2<f64>| center + along * along.dot(&(end - center));
+    let (first, last) = (places[0], places[n_steps]);
+    Some((on_line(first), on_line(last), eigen.eigenvalues.min().max(0.0).sqrt()))
 }

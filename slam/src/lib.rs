@@ -72,9 +72,9 @@ mod vanishing;
 
 pub use clock::{Clock, NoClock};
 pub use config::{
-    AlignmentConfig, ConfigError, ContinuityConfig, FeatureSwitches, InitializationConfig, KeyframeConfig,
-    LineConfig, LoopConfig, MappingConfig, PrimitiveConfig, RelocalizationConfig, SlamConfig, SubmapConfig,
-    Threading, TrackingConfig,
+    AlignmentConfig, CalibrationConfig, CalibrationTrust, ConfigError, ContinuityConfig, FeatureSwitches,
+    InitializationConfig, KeyframeConfig, LineConfig, LoopConfig, MappingConfig, PrimitiveConfig,
+    RelocalizationConfig, SlamConfig, SubmapConfig, Threading, TrackingConfig,
 };
 pub use input::{Frame, FrameError, ResumeError, ResumeState};
 pub use loops::{KeyframeTies, essential_edges};

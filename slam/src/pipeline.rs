@@ -138,9 +138,11 @@ impl Pipeline {
             first: first.to_keyframe(first_id, None),
             second: second.to_keyframe(second_id, Some(first_id)),
             points: pair.points,
+            hypothesis: pair.hypothesis,
             frames: self.trajectory.begin_map(first_record),
         });
         self.map = self.mapping.newest_map();
+        self.front_end.correct_camera(self.map.correction());
         if let Some(keyframe) = self.map.keyframe(second_id) {
             second.points.clone_from(&keyframe.points);
         }
@@ -210,7 +212,7 @@ impl Pipeline {
         }
         self.tracker.forget();
         self.submaps.begin_next();
-        self.initializer = Some(Initializer::new(&self.config));
+        self.initializer = Some(Initializer::new(&self.config, self.map.n_keyframes() == 0));
         self.choose_n_features();
     }
 

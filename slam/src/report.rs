@@ -3,7 +3,7 @@
 use crate::features::FrameFeatures;
 use crate::map::{FrameState, KeyframeId, LineId, PointId, PrimitiveId, SubmapId};
 use geometry::nalgebra::Vector3;
-use geometry::{PinholeCorrection, Pose};
+use geometry::{CameraCorrection, Pose};
 use std::fmt;
 use std::sync::Arc;
 use vision::lines::LineTrackingStatistics;
@@ -204,13 +204,21 @@ pub enum MapEvent {
     /// The camera differs from its calibration by this much, and the map was adjusted to it.
     CalibrationRefined {
         /// Against the calibration as it was given.
-        correction: PinholeCorrection,
+        correction: CameraCorrection,
+        /// Standard deviation of the focal length, as a share of it.
+        focal_sigma: f64,
+    },
+    /// The camera was not calibrated, and how it has moved so far does not tell its focal length: straight
+    /// ahead, turning only, or before something flat. The map is bent as far as the focal length is wrong.
+    CalibrationUndetermined {
+        /// Standard deviation of the focal length, as a share of it.
+        focal_sigma: f64,
     },
     /// The images contradict the calibration by more than it can be wrong by: it is used as it was given. The
     /// lens may be described wrongly, or the images may have been resized or cropped.
     CalibrationContradicted {
         /// The camera that would fit the images best.
-        correction: PinholeCorrection,
+        correction: CameraCorrection,
     },
 }
 
@@ -221,7 +229,9 @@ impl MapEvent {
             Self::LoopClosed { keyframe, matched, .. } | Self::SubmapsMerged { keyframe, matched, .. } => {
                 Some((*keyframe, *matched))
             }
-            Self::CalibrationRefined { .. } | Self::CalibrationContradicted { .. } => None,
+            Self::CalibrationRefined { .. }
+            | Self::CalibrationContradicted { .. }
+            | Self::CalibrationUndetermined { .. } => None,
         }
     }
 
@@ -229,7 +239,9 @@ impl MapEvent {
     pub fn n_matches(&self) -> usize {
         match self {
             Self::LoopClosed { n_matches, .. } | Self::SubmapsMerged { n_matches, .. } => *n_matches,
-            Self::CalibrationRefined { .. } | Self::CalibrationContradicted { .. } => 0,
+            Self::CalibrationRefined { .. }
+            | Self::CalibrationContradicted { .. }
+            | Self::CalibrationUndetermined { .. } => 0,
         }
     }
 
@@ -242,11 +254,23 @@ impl MapEvent {
     }
 
     /// How the camera that fits the images best differs from its calibration, and whether it is used.
-    pub fn camera(&self) -> Option<(PinholeCorrection, bool)> {
+    pub fn camera(&self) -> Option<(CameraCorrection, bool)> {
         match self {
-            Self::CalibrationRefined { correction } => Some((*correction, true)),
+            Self::CalibrationRefined { correction, .. } => Some((*correction, true)),
             Self::CalibrationContradicted { correction } => Some((*correction, false)),
-            Self::LoopClosed { .. } | Self::SubmapsMerged { .. } => None,
+            Self::LoopClosed { .. } | Self::SubmapsMerged { .. } | Self::CalibrationUndetermined { .. } => {
+                None
+            }
+        }
+    }
+
+    /// How well the focal length is known, as a share of it, where that was found.
+    pub fn focal_sigma(&self) -> Option<f64> {
+        match self {
+            Self::CalibrationRefined { focal_sigma, .. } | Self::CalibrationUndetermined { focal_sigma } => {
+                Some(*focal_sigma)
+            }
+            _ => None,
         }
     }
 }

@@ -25,12 +25,10 @@ impl VanishingFinder {
     /// The vanishing points of a view's segments. Directions known to be there, in the camera's frame, help
     /// to find theirs.
     pub fn find(&mut self, features: &FrameFeatures, known: &[Vector3<f64>]) -> Vec<VanishingObservation> {
-        let focal_px = features.pinhole.mean_focal_px();
         self.planes.clear();
         self.segment_indices.clear();
-        for (idx, segment) in features.lines.iter().enumerate() {
-            let [start, end] = [segment.start, segment.end].map(|pixel| features.pinhole.normalized(&pixel));
-            if let Some(plane) = SegmentPlane::from_normalized(&start, &end, segment.sigma_px / focal_px) {
+        for idx in 0..features.lines.len() {
+            if let Some(plane) = features.segment_plane(idx) {
                 self.planes.push(plane);
                 self.segment_indices.push(idx as u32);
             }

@@ -1,8 +1,8 @@
 //! A camera that is not quite as it was given.
 
-use geometry::{Camera, CameraParameters, PinholeCorrection};
-use slam::{MapEvent, ResumeState};
-use synthetic::{Preset, Sequence};
+use geometry::{Camera, CameraCorrection, CameraModel, CameraParameters};
+use slam::{CalibrationTrust, MapEvent, ResumeState, SlamConfig};
+use synthetic::{Preset, Sequence, SequenceConfig};
 use testkit::{Session, evaluate, inline};
 
 /// Every third frame around the room.
@@ -23,7 +23,12 @@ fn walk(focal_error: f64, refine_calibration: bool) -> Walk {
     config.features.refine_calibration = refine_calibration;
     // What is looked for is the calibration's doing: the other way to get a bent map straight is left out.
     config.features.loop_closing = false;
-    let mut session = Session::new(config, &given);
+    walk_with(sequence, config, &given)
+}
+
+/// The same walk with a camera of which the engine is told as much as the configuration says.
+fn walk_with(sequence: Sequence, config: SlamConfig, given: &Camera) -> Walk {
+    let mut session = Session::new(config, given);
     session.show_frames(&sequence, (0..sequence.len()).step_by(STEP));
     session.finish();
     Walk { sequence, session }
@@ -41,7 +46,7 @@ impl Walk {
 #[test]
 fn a_focal_length_that_is_a_little_wrong_is_put_right() {
     let (as_given, refined) = (walk(0.02, false), walk(0.02, true));
-    assert_eq!(as_given.session.pipeline.map().correction(), PinholeCorrection::default());
+    assert_eq!(as_given.session.pipeline.map().correction(), CameraCorrection::default());
     assert!(refined.session.events.iter().any(|event| matches!(event, MapEvent::CalibrationRefined { .. })));
     assert!(refined.session.is_correction_stored, "what is to be stored says so");
     let correction = refined.session.pipeline.map().correction();
@@ -68,14 +73,14 @@ fn a_focal_length_that_is_a_little_wrong_is_put_right() {
 #[test]
 fn a_camera_that_is_as_given_stays_so() {
     let walk = walk(0.0, true);
-    assert_eq!(walk.session.pipeline.map().correction(), PinholeCorrection::default());
+    assert_eq!(walk.session.pipeline.map().correction(), CameraCorrection::default());
     assert!(walk.session.events.is_empty(), "{:?}", walk.session.events);
 }
 
 #[test]
 fn a_calibration_that_cannot_be_true_is_told_and_left_alone() {
     let walk = walk(0.12, true);
-    assert_eq!(walk.session.pipeline.map().correction(), PinholeCorrection::default());
+    assert_eq!(walk.session.pipeline.map().correction(), CameraCorrection::default());
     let told = |event: &MapEvent| matches!(event, MapEvent::CalibrationContradicted { correction } if correction.focal < -0.05);
     assert_eq!(
         walk.session.events.iter().filter(|event| told(event)).count(),
@@ -83,4 +88,64 @@ fn a_calibration_that_cannot_be_true_is_told_and_left_alone() {
         "{:?}",
         walk.session.events
     );
+}
+
+/// A walk of which the engine is told the size of the images alone. `change` makes another camera of the
+/// preset's.
+fn unknown_walk(change: impl Fn(&mut CameraParameters)) -> (Walk, Camera) {
+    let mut sequence = SequenceConfig::preset(Preset::RoomRich, 1);
+    change(&mut sequence.camera);
+    let sequence = Sequence::new(sequence).unwrap();
+    let mut config = inline(1);
+    config.calibration.trust = CalibrationTrust::Unknown;
+    config.features.loop_closing = false;
+    let CameraParameters { width, height, .. } = *sequence.camera().parameters();
+    let nominal = Camera::new(config.calibration.camera_of_size(width, height)).unwrap();
+    let walk = walk_with(sequence, config, &nominal);
+    let found = nominal.with_correction(walk.session.pipeline.map().correction());
+    (walk, found)
+}
+
+#[test]
+fn a_camera_of_which_only_the_size_is_known_is_found() {
+    let (walk, found) = unknown_walk(|camera| (camera.fx, camera.fy) = (400.0, 400.0));
+    let camera = found.corrected_parameters();
+    println!("{camera:?}, error {:.5}", walk.error());
+    assert!((camera.fx / 400.0 - 1.0).abs() < 0.03, "{camera:?}");
+    assert!(walk.error() < 0.003, "{}", walk.error());
+    let told = walk.session.events.iter().rev().find_map(MapEvent::focal_sigma);
+    assert!(told.is_some_and(|sigma| sigma < 0.02), "{told:?}");
+    assert!(walk.session.is_correction_stored);
+
+    // A map is the same when it is taken up again: the rays of its keyframes are those of the camera found.
+    let map = walk.session.pipeline.map();
+    let state = ResumeState { map: map.to_parts(), last_frame: None };
+    let nominal = found.with_correction(CameraCorrection::default());
+    let mut config = inline(1);
+    config.calibration.trust = CalibrationTrust::Unknown;
+    let again = Session::resume(config, &nominal, state);
+    let rays = |map: &slam::Map| -> Vec<_> {
+        map.keyframes().flat_map(|keyframe| keyframe.features.undistorted.clone()).collect()
+    };
+    assert_eq!(rays(&again.pipeline.map()), rays(&map));
+}
+
+#[test]
+fn radial_distortion_of_an_unknown_camera_is_found() {
+    let (walk, found) = unknown_walk(|camera| {
+        camera.model = CameraModel::Radtan;
+        camera.distortion = vec![-0.25, 0.06, 0.0, 0.0];
+    });
+    let camera = found.corrected_parameters();
+    println!("{camera:?}, error {:.5}", walk.error());
+    // The walk is fast, and what was tracked by the guess of the first seconds stays bent: that is not judged.
+    assert!((camera.fx / 460.0 - 1.0).abs() < 0.06, "{camera:?}");
+    assert!((camera.distortion[0] + 0.25).abs() < 0.04, "{camera:?}");
+}
+
+#[test]
+fn an_unknown_camera_is_found_the_same_each_time() {
+    let bits = |camera: &Camera| camera.corrected_parameters().fx.to_bits();
+    let once = || unknown_walk(|camera| camera.fx = camera.fy).1;
+    assert_eq!(bits(&once()), bits(&once()));
 }

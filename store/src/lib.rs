@@ -90,7 +90,7 @@ pub use page::Page;
 pub use points::{Bounds, PointQuery};
 pub use primitives::PrimitiveRecord;
 pub use save::{Committed, KeyframeImage, SessionStatus};
-pub use session::{NewSession, SessionChanges, SessionCounts, SessionOptions, SessionRecord};
+pub use session::{Calibration, NewSession, SessionChanges, SessionCounts, SessionOptions, SessionRecord};
 pub use snapshot::MapSnapshot;
 pub use tokens::{NewToken, TOKEN_HASH_BYTES, TokenQuotas, TokenRecord, TokenRole};
 pub use trajectory::{StoredFrame, SubmapChoice, TrajectoryFilter, TrajectoryKind, TrajectoryPose};

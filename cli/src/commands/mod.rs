@@ -1,6 +1,7 @@
 //! One module for each command.
 
 mod bench;
+mod calibration;
 mod demo;
 mod evaluate;
 mod export;
@@ -30,6 +31,8 @@ pub enum Command {
     Stream(stream::StreamArgs),
     /// Fetch the trajectory of a session
     Trajectory(trajectory::TrajectoryArgs),
+    /// Write the camera of a session, as it was found, as a calibration file
+    Calibration(calibration::CalibrationArgs),
     /// Save the map of a session as files of other programs
     Export(export::ExportArgs),
     /// Write everything about a session on one page that needs no server
@@ -53,6 +56,7 @@ impl Command {
         match self {
             Self::Stream(args) => stream::run(args).await,
             Self::Trajectory(args) => trajectory::run(args).await,
+            Self::Calibration(args) => calibration::run(args).await,
             Self::Export(args) => export::run(args).await,
             Self::Report(args) => report::run(args).await,
             Self::Evaluate(args) => evaluate::run(&args),

@@ -63,6 +63,14 @@ impl<F: Factor> TypedGroup<F> {
         self.factors[index].residual(values).map(|residual| residual.squared_norm())
     }
 
+    /// `ρ(‖r‖²)` of an enabled factor, if it can be evaluated.
+    pub(crate) fn loss_at(&self, stores: &Stores, side: Side, index: usize) -> Option<f64> {
+        let views = F::Variables::views(stores, side);
+        let values = F::Variables::values(views, self.ids[index]);
+        let residual = self.factors[index].residual(values).filter(|_| self.enabled[index])?;
+        Some(self.kernel.loss(residual.squared_norm()))
+    }
+
     /// See [`Group::cost`].
     #[inline(always)]
     fn sum_cost(&self, stores: &Stores, side: Side) -> Cost {

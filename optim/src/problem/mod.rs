@@ -100,6 +100,11 @@ impl Problem {
         self.group_mut(group).kernel = kernel;
     }
 
+    /// Puts another factor in the place of one, between the same variables.
+    pub fn replace_factor<F: Factor>(&mut self, group: GroupId<F>, index: usize, factor: F) {
+        self.group_mut(group).factors[index] = factor;
+    }
+
     /// Leaves a factor out of the cost, or takes it back in. Costs nothing: the structure stays.
     pub fn set_enabled<F: Factor>(&mut self, group: GroupId<F>, index: usize, enabled: bool) {
         self.group_mut(group).enabled[index] = enabled;
@@ -153,6 +158,67 @@ impl Problem {
     /// `None` when the variable is fixed or a landmark, or when the problem leaves it undetermined (such as
     /// by an unfixed gauge).
     pub fn marginal_covariance<T: Manifold>(&mut self, id: VariableId<T>) -> Option<DMatrix<f64>> {
+        let columns = self.covariance_columns(id)?;
+        let first = self.stores.slots::<T>()[id.index()].gradient as usize;
+        let covariance = DMatrix::from_fn(T::DIM, T::DIM, |row, axis| columns[axis][first + row]);
+        covariance.iter().all(|entry| entry.is_finite()).then_some(covariance)
+    }
+
+    /// How uncertain a free reduced variable is, as the errors that were made say, and not as they were
+    /// expected: the clustered ("sandwich") estimate of its covariance [Liang and Zeger, Longitudinal data
+    /// analysis using generalized linear models, 1986], which holds also if the residuals of one cluster are
+    /// not independent of each other. `cluster_of` names the cluster of each factor of the group, counted
+    /// from 0.
+    ///
+    /// The values must be those of a minimum. `None` as in
+    /// [`marginal_covariance`](Self::marginal_covariance).
+    pub fn clustered_covariance<T: Manifold, F: Factor>(
+        &mut self,
+        id: VariableId<T>,
+        group: GroupId<F>,
+        cluster_of: &[usize],
+    ) -> Option<ClusteredCovariance> {
+        let columns = self.covariance_columns(id)?;
+        let first = self.stores.slots::<T>()[id.index()].gradient as usize;
+        let n_clusters = cluster_of.iter().max().map_or(0, |last| last + 1);
+        let mut scores = DMatrix::zeros(n_clusters, T::DIM);
+        let columns: Vec<Vec<f64>> = columns.iter().map(|column| self.with_landmarks(column)).collect();
+        for (axis, column) in columns.iter().enumerate() {
+            // The derivative of each factor's cost along the column, by central differences.
+            let reach = SCORE_STEP / max_abs(column).max(f64::MIN_POSITIVE);
+            let mut step = vec![0.0; column.len()];
+            for sign in [1.0, -1.0] {
+                step.iter_mut().zip(column).for_each(|(step, entry)| *step = sign * reach * entry);
+                self.stores.iter_mut().for_each(|store| store.retract(&step));
+                let group = self.group(group);
+                for (index, cluster) in cluster_of.iter().enumerate() {
+                    if let Some(loss) = group.loss_at(&self.stores, Side::Trial, index) {
+                        scores[(*cluster, axis)] += sign * 0.5 * loss / (2.0 * reach);
+                    }
+                }
+            }
+        }
+        let expected = DMatrix::from_fn(T::DIM, T::DIM, |row, axis| columns[axis][first + row]);
+        let observed = scores.transpose() * &scores;
+        let is_finite = |matrix: &DMatrix<f64>| matrix.iter().all(|entry| entry.is_finite());
+        (is_finite(&expected) && is_finite(&observed)).then_some(ClusteredCovariance { expected, observed })
+    }
+
+    /// A step of the reduced variables with what it takes landmarks along by.
+    fn with_landmarks(&mut self, reduced: &[f64]) -> Vec<f64> {
+        let Some(system) = self.system.as_mut() else { return reduced.to_vec() };
+        system.normal.gradient.fill(0.0);
+        system.step[..reduced.len()].copy_from_slice(reduced);
+        let (mut schur, layout, _) = system.split(Damping::NONE);
+        for (store, span) in self.stores.iter().zip(&layout.spans) {
+            let landmarks = LandmarkSpan { first: span.start, landmarks: &layout.landmarks[span.clone()] };
+            store.back_substitute(&mut schur, landmarks);
+        }
+        system.step.clone()
+    }
+
+    /// The columns of the inverse of the undamped reduced Hessian that belong to a free reduced variable.
+    fn covariance_columns<T: Manifold>(&mut self, id: VariableId<T>) -> Option<Vec<Vec<f64>>> {
         let variable = self.stores.variable_ref(id);
         let store = self.stores.store(variable.store as usize);
         if store.role(id.index()) != Role::Reduced || self.stores.is_fixed(id) {
@@ -163,14 +229,13 @@ impl Problem {
         self.factorize(Damping::NONE).ok()?;
         let first = self.stores.slots::<T>()[id.index()].gradient as usize;
         let system = self.system.as_mut()?;
-        let mut covariance = DMatrix::zeros(T::DIM, T::DIM);
-        for axis in 0..T::DIM {
+        let column_of = |axis: usize| {
             let mut column = vec![0.0; system.layout.n_reduced_dims];
             column[first + axis] = 1.0;
             system.solver.solve(&mut column);
-            covariance.column_mut(axis).copy_from_slice(&column[first..first + T::DIM]);
-        }
-        covariance.iter().all(|entry| entry.is_finite()).then_some(covariance)
+            column
+        };
+        Some((0..T::DIM).map(column_of).collect())
     }
 
     /// The whole undamped Hessian `Σ w Jᵀ J` and gradient `Σ w Jᵀ r` of the free variables at the current
@@ -228,6 +293,19 @@ impl Problem {
     fn group_mut<F: Factor>(&mut self, group: GroupId<F>) -> &mut TypedGroup<F> {
         self.groups[group.index()].as_any_mut().downcast_mut().expect("the group is of this problem")
     }
+}
+
+/// Largest entry of the step over which costs are differentiated, tangent units.
+const SCORE_STEP: f64 = 1e-4;
+
+/// Two estimates of a variable's covariance, in its tangent space.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClusteredCovariance {
+    /// If residuals are as uncertain as they were said to be, and independent:
+    /// [`Problem::marginal_covariance`].
+    pub expected: DMatrix<f64>,
+    /// By the residuals of the group as they are, correlated within clusters.
+    pub observed: DMatrix<f64>,
 }
 
 /// The solver's side of a problem: layout and memory of the linear system.

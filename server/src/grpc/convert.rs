@@ -10,7 +10,7 @@ use crate::session::{
     SentFrame, SentImage, SessionEvent, SessionView,
 };
 use crate::watch::Watched;
-use geometry::{CameraModel, CameraParameters, PinholeCorrection};
+use geometry::{CameraCorrection, CameraModel, CameraParameters};
 use proto::v1;
 use proto::v1::session_event::Event;
 use proto::v1::stream_frames_response::Message;
@@ -37,6 +37,8 @@ fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, ApiError> {
         v1::CameraModel::Radtan => CameraModel::Radtan,
         v1::CameraModel::KannalaBrandt => CameraModel::KannalaBrandt,
         v1::CameraModel::Fov => CameraModel::Fov,
+        // A camera that is given by its size alone has no model.
+        v1::CameraModel::Unspecified if camera.fx == 0.0 && camera.fy == 0.0 => CameraModel::Pinhole,
         v1::CameraModel::Unspecified => {
             let sentence = "must be PINHOLE, RADTAN, KANNALA_BRANDT or FOV";
             return Err(ApiError::invalid("camera.model", sentence));
@@ -46,8 +48,8 @@ fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, ApiError> {
     Ok(CameraParameters { model, width, height, fx, fy, cx, cy, distortion })
 }
 
-convert_options!(v1::SessionOptions => SessionOptions);
-convert_options!(SessionOptions => v1::SessionOptions);
+convert_options!(v1::SessionOptions => SessionOptions, with calibration = None);
+convert_options!(SessionOptions => v1::SessionOptions, without calibration);
 
 pub(super) fn located(located: &Located) -> v1::LocalizeResponse {
     let Located { report, metres_per_unit, durable_sequence, load_ns, locate_ns } = located;
@@ -326,7 +328,7 @@ fn correction(event: &slam::MapEvent) -> v1::MapCorrection {
         submap_gone: submap_gone.map(|submap| submap.0),
         submap_kept: submap_kept.map(|submap| submap.0),
         camera: event.camera().map(|(correction, adopted)| {
-            let PinholeCorrection { focal, center_x, center_y } = correction;
+            let CameraCorrection { focal, center_x, center_y, .. } = correction;
             v1::CameraCorrection { focal, centre_x: center_x, centre_y: center_y, adopted }
         }),
     }

@@ -9,7 +9,6 @@ use crate::session::{FrameOutcome, MapChange, SessionEvent};
 use crate::watch::{Watched, watch};
 use axum::extract::{Path, State};
 use axum::response::sse::{Event, KeepAlive, Sse};
-use geometry::PinholeCorrection;
 use serde::Serialize;
 
 use slam::map::{KeyframeId, PrimitiveId};
@@ -65,6 +64,12 @@ pub(super) struct CameraCorrection {
     /// Shift of the principal point downwards, in focal lengths.
     #[serde(rename = "centre_y")]
     center_y: f64,
+    /// Radial distortion that the calibration does not describe, `k1` and `k2` of Brown's model.
+    k1: f64,
+    /// See `k1`.
+    k2: f64,
+    /// Standard deviation of the focal length, as a share of it; `null` where it was not determined.
+    focal_sigma: Option<f64>,
     /// The map was adjusted to that camera. Otherwise it is more than a calibration can be wrong by: it is
     /// used as it was given, and should be looked at.
     adopted: bool,
@@ -158,6 +163,7 @@ impl From<&slam::MapEvent> for MapCorrection {
     fn from(event: &slam::MapEvent) -> Self {
         let (keyframe, matched) = event.keyframes().unzip();
         let (submap_gone, submap_kept) = event.submaps().unzip();
+        let focal_sigma = event.focal_sigma();
         Self {
             keyframe: keyframe.map(KeyframeId::get),
             matched_keyframe: matched.map(KeyframeId::get),
@@ -165,8 +171,8 @@ impl From<&slam::MapEvent> for MapCorrection {
             submap_gone: submap_gone.map(|submap| submap.0),
             submap_kept: submap_kept.map(|submap| submap.0),
             camera: event.camera().map(|(correction, adopted)| {
-                let PinholeCorrection { focal, center_x, center_y } = correction;
-                CameraCorrection { focal, center_x, center_y, adopted }
+                let geometry::CameraCorrection { focal, center_x, center_y, k1, k2 } = correction;
+                CameraCorrection { focal, center_x, center_y, k1, k2, focal_sigma, adopted }
             }),
         }
     }

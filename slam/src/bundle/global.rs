@@ -7,7 +7,7 @@ use super::stage_two::StageTwo;
 use crate::config::SlamConfig;
 use crate::landmarks::{Anchoring, apply_corrections};
 use crate::map::{Keyframe, KeyframeId, Map, SubmapId};
-use geometry::{PinholeCorrection, Pose, Similarity};
+use geometry::{CameraCorrection, Pose, Similarity};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -19,7 +19,7 @@ pub(crate) struct GlobalResult {
     fixed: Option<KeyframeId>,
     adjusted: Adjusted,
     /// The camera it was found with, if that is another than before.
-    correction: Option<PinholeCorrection>,
+    correction: Option<CameraCorrection>,
 }
 
 /// Adjusts every keyframe of a submap with the points and lines they see: all of it, then without the
@@ -69,7 +69,7 @@ pub(crate) fn adjust_to_camera(
     let mut map = map.clone();
     match refined {
         Some(estimate) => estimate.write_into(&mut map),
-        None => map.set_correction(PinholeCorrection::default()),
+        None => map.set_correction(CameraCorrection::default()),
     }
     let result = adjust(&map, submap, config, abort)?;
     Some(GlobalResult { correction: Some(map.correction()), ..result })

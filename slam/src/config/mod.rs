@@ -14,7 +14,7 @@ mod submaps;
 mod tracking;
 
 pub use alignment::AlignmentConfig;
-pub use calibration::CalibrationConfig;
+pub use calibration::{CalibrationConfig, CalibrationTrust};
 pub use continuity::ContinuityConfig;
 pub use initialization::InitializationConfig;
 pub use keyframes::KeyframeConfig;

@@ -1,24 +1,23 @@
 //! Segments of an image, followed from the image before, without lens distortion.
 
 use crate::config::{ConfigError, LineConfig, SlamConfig};
-use crate::features::LineFeature;
-use geometry::Camera;
-use geometry::nalgebra::{Matrix2, SymmetricEigen, UnitQuaternion, Vector2};
+use crate::features::{LineFeature, straighten};
+use geometry::nalgebra::{UnitQuaternion, Vector2};
+use geometry::{Camera, CameraCorrection};
 use vision::GrayImage;
 use vision::lines::{
     LineOrigin, LineTracker, LineTrackerConfig, LineTrackingStatistics, Segment, SegmentDetector,
     TrackedLine, detector,
 };
 
-/// Distance of the places at which a segment is undistorted, pixels: lens models bend little between them.
-const UNDISTORTION_STEP_PX: f32 = 16.0;
-/// The same at most, for segments across the whole image.
-const MAX_UNDISTORTION_STEPS: usize = 32;
 /// Flow moves a segment less precisely than a detector finds it. [method: Line tracking by optical flow]
 const FLOW_SIGMA_FACTOR: f64 = 1.5;
 
-/// Detects segments, follows them and takes the lens distortion out.
+/// Detects segments, follows them and takes the lens distortion of the calibration out.
 pub(super) struct LineFrontEnd {
+    /// As it was given.
+    nominal: Camera,
+    /// As it is known now: how what is seen moves when the camera turns.
     camera: Camera,
     config: LineConfig,
     detector: Box<dyn SegmentDetector>,
@@ -32,7 +31,15 @@ impl LineFrontEnd {
         let detector = detector(config.lines.detector).map_err(|error| refuse(error.to_string()))?;
         let tracker =
             LineTracker::new(LineTrackerConfig::default()).map_err(|error| refuse(error.to_string()))?;
-        Ok(Self { camera: camera.clone(), config: config.lines.clone(), detector, tracker, first_track })
+        let nominal = camera.with_correction(CameraCorrection::default());
+        Ok(Self {
+            nominal,
+            camera: camera.clone(),
+            config: config.lines.clone(),
+            detector,
+            tracker,
+            first_track,
+        })
     }
 
     pub fn set_camera(&mut self, camera: &Camera) {
@@ -54,7 +61,7 @@ impl LineFrontEnd {
     }
 
     fn feature(&self, line: &TrackedLine) -> Option<LineFeature> {
-        let (start, end, bow_px) = undistort(&line.segment, &self.camera)?;
+        let (start, end, bow_px) = undistort(&line.segment, &self.nominal)?;
         let factor = if line.origin == LineOrigin::Flowed { FLOW_SIGMA_FACTOR } else { 1.0 };
         let sigma_px = f64::from(line.segment.sigma_px).hypot(bow_px).max(self.config.min_sigma_px) * factor;
         let track = self.first_track + line.track;
@@ -70,27 +77,11 @@ fn turn(camera: &Camera, now_from_last: &UnitQuaternion<f64>, pixel: &Vector2<f3
     moved.map_or(*pixel, |moved| moved.cast())
 }
 
-/// The straight line through the undistorted places along a segment, cut where its ends are, and the root
-/// mean square distance of those places from it, pixels. `None` where the lens model has no inverse.
+/// A segment without lens distortion, and how far it is from straight, pixels. `None` where the lens model
+/// has no inverse.
 fn undistort(segment: &Segment, camera: &Camera) -> Option<(Vector2<f64>, Vector2<f64>, f64)> {
-    let (start, end) = (camera.undistort(&segment.start.cast())?, camera.undistort(&segment.end.cast())?);
     if !camera.is_distorted() {
-        return Some((start, end, 0.0));
+        return Some((camera.undistort(&segment.start.cast())?, camera.undistort(&segment.end.cast())?, 0.0));
     }
-    let n_steps =
-        ((segment.length() / UNDISTORTION_STEP_PX).ceil() as usize).clamp(2, MAX_UNDISTORTION_STEPS);
-    let places = (0..=n_steps)
-        .map(|step| {
-            let share = step as f32 / n_steps as f32;
-            camera.undistort(&(segment.start + segment.vector() * share).cast())
-        })
-        .collect::<Option<Vec<Vector2<f64>>>>()?;
-    let n = places.len() as f64;
-    let center = places.iter().sum::<Vector2<f64>>() / n;
-    let scatter: Matrix2<f64> =
-        places.iter().map(|place| (place - center) * (place - center).transpose()).sum::<Matrix2<f64>>() / n;
-    let eigen = SymmetricEigen::new(scatter);
-    let along = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
-    let on_line = |end: Vector2<f64>| center + along * along.dot(&(end - center));
-    Some((on_line(start), on_line(end), eigen.eigenvalues.min().max(0.0).sqrt()))
+    straighten(&segment.start.cast(), &segment.end.cast(), |place| camera.undistort(place))
 }

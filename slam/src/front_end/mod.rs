@@ -9,7 +9,7 @@ use crate::clock::Stopwatch;
 use crate::config::{ConfigError, SlamConfig, Threading};
 use crate::features::FrameFeatures;
 use geometry::nalgebra::UnitQuaternion;
-use geometry::{Camera, PinholeCorrection};
+use geometry::{Camera, CameraCorrection};
 use line_stage::LineStage;
 use lines::LineFrontEnd;
 use std::sync::Arc;
@@ -22,6 +22,7 @@ pub(crate) use weak_texture::CameraState;
 
 /// Extracts features of one stream of images; follows lines from image to image.
 pub(crate) struct FrontEnd {
+    /// As it was given: features are handed out as the calibration alone has them.
     camera: Camera,
     config: SlamConfig,
     extractor: OrbExtractor,
@@ -35,17 +36,16 @@ impl FrontEnd {
     pub fn new(config: &SlamConfig, camera: &Camera, first_track: u64) -> Result<Self, ConfigError> {
         let extractor = OrbExtractor::new(config.orb)
             .map_err(|error| ConfigError { field: "orb", reason: error.to_string() })?;
-        let camera = config.working_camera(camera);
+        let camera = config.working_camera(camera).with_correction(CameraCorrection::default());
         let lines = config.features.lines.then(|| line_stage(config, &camera, first_track)).transpose()?;
         let weak_texture = WeakTexture::new(config);
         Ok(Self { camera, config: config.clone(), extractor, weak_texture, lines })
     }
 
     /// Takes over how the camera differs from its calibration.
-    pub fn correct_camera(&mut self, correction: PinholeCorrection) {
-        self.camera = self.camera.with_correction(correction);
+    pub fn correct_camera(&mut self, correction: CameraCorrection) {
         if let Some(lines) = &mut self.lines {
-            lines.set_camera(&self.camera);
+            lines.set_camera(&self.camera.with_correction(correction));
         }
     }
 

@@ -12,8 +12,8 @@ use crate::config::{InitializationConfig, SlamConfig, Threading};
 use crate::features::View;
 use crate::parallel;
 use crate::report::InitializationWait;
-use geometry::Pose;
 use geometry::nalgebra::Vector3;
+use geometry::{CameraCorrection, Pose};
 use rand::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
@@ -33,6 +33,8 @@ pub(crate) struct InitialPair {
     pub second_from_first: Pose,
     /// Keypoint of the first view, keypoint of the second, position in the first camera's frame.
     pub points: Vec<(usize, usize, Vector3<f64>)>,
+    /// The camera they were found with, if that was only tried.
+    pub hypothesis: Option<CameraCorrection>,
 }
 
 /// Keeps recent views and tries to start a map from pairs of them.
@@ -43,11 +45,15 @@ pub(crate) struct Initializer {
     n_waited: usize,
     rng: ChaCha8Rng,
     threading: Threading,
+    /// Cameras to be tried in turn, view by view; none where the camera is known.
+    hypotheses: Vec<CameraCorrection>,
 }
 
 impl Initializer {
-    pub fn new(config: &SlamConfig) -> Self {
+    /// `is_first` says that there is no map yet, whose camera would be that of this one too.
+    pub fn new(config: &SlamConfig, is_first: bool) -> Self {
         Self {
+            hypotheses: if is_first { config.calibration.hypotheses() } else { Vec::new() },
             config: config.initialization.clone(),
             views: VecDeque::new(),
             n_waited: 0,
@@ -142,8 +148,10 @@ impl Initializer {
         if n_matches < n_required {
             return Err(InitializationWait::TooFewMatches { n_matches, n_required });
         }
+        let hypothesis = self.hypothesis();
+        let [first, second] = &[first, second].map(|view| with_camera(view, hypothesis.as_ref()));
         let motion = two_view::solve(&first.features, &second.features, matches, &self.config, rng)?;
-        let (pair, direction_sigma_deg) = refine(first, second, matches, &motion);
+        let (mut pair, direction_sigma_deg) = refine(first, second, matches, &motion);
         let n_agreeing = pair.points.len();
         let required_deg = self.max_direction_sigma_deg();
         if direction_sigma_deg > required_deg {
@@ -152,7 +160,14 @@ impl Initializer {
         if n_agreeing < self.config.min_points {
             return Err(InitializationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
         }
+        pair.hypothesis = hypothesis;
         self.confirm(pair, rng)
+    }
+
+    /// The camera whose turn it is: a wrong one may still do for a map, but sees more motions as doubtful.
+    fn hypothesis(&self) -> Option<CameraCorrection> {
+        let n = self.hypotheses.len();
+        (n > 0).then(|| self.hypotheses[self.n_waited % n])
     }
 
     /// How well the direction of motion must be known. A camera that has moved for long without a good pair
@@ -173,13 +188,23 @@ impl Initializer {
         let Some(third) = between.get(between.len() / 2).copied().or(before) else {
             return Err(InitializationWait::FirstView);
         };
-        let (n_confirmed, n_looked_for) = third_view::confirm(&pair, third, &self.config, rng);
+        let third = with_camera(third, pair.hypothesis.as_ref());
+        let (n_confirmed, n_looked_for) = third_view::confirm(&pair, &third, &self.config, rng);
         if (n_confirmed as f64) < self.config.min_third_view_share * n_looked_for as f64 {
             let (n_agreeing, n_matches) = (n_confirmed, n_looked_for);
             return Err(InitializationWait::Ambiguous { n_agreeing, n_runner_up: 0, n_matches });
         }
         Ok(pair)
     }
+}
+
+/// A view as another camera would have it.
+fn with_camera(view: &View, camera: Option<&CameraCorrection>) -> View {
+    let mut view = view.clone();
+    if let Some(camera) = camera {
+        view.correct_camera(camera);
+    }
+    view
 }
 
 /// The first that succeeded, later ones not tried; else the most telling reason.
@@ -240,6 +265,12 @@ fn refine(
     points.iter_mut().for_each(|(_, _, position)| *position /= unit);
     let pose = refined.second_from_first;
     let second_from_first = Pose::new(pose.rotation, pose.translation / unit);
-    let pair = InitialPair { first: first.clone(), second: second.clone(), second_from_first, points };
+    let pair = InitialPair {
+        first: first.clone(),
+        second: second.clone(),
+        second_from_first,
+        points,
+        hypothesis: None,
+    };
     (pair, refined.direction_sigma_deg)
 }

@@ -1,15 +1,17 @@
 //! The camera of a map, as far as the session knows it better than its calibration.
 
-use super::{Keyframe, KeyframeId, Map};
-use geometry::PinholeCorrection;
+use super::{Keyframe, KeyframeId, Map, VanishingObservation};
+use crate::features::FrameFeatures;
+use geometry::CameraCorrection;
 use std::sync::Arc;
+use vision::vanishing::{SegmentPlane, fit_direction};
 
 impl Map {
-    /// Takes over how the camera differs from its calibration. Pixels stay as they are; the rays of all
-    /// keyframes change, and with them the directions of their vanishing points. Poses and landmarks are left
-    /// as they are. A correction that leaves no camera is refused.
-    pub(crate) fn set_correction(&mut self, correction: PinholeCorrection) {
-        if !leaves_a_camera(&correction) {
+    /// Takes over how the camera differs from its calibration. The rays of all keyframes change, and with
+    /// them the directions of their vanishing points. Poses and landmarks are left as they are. A correction
+    /// that leaves no camera is refused.
+    pub(crate) fn set_correction(&mut self, correction: CameraCorrection) {
+        if !correction.leaves_a_camera() {
             return;
         }
         let before = std::mem::replace(&mut self.correction, correction);
@@ -24,20 +26,26 @@ impl Map {
                 adapt(keyframe, &correction);
                 for vanishing in &mut keyframe.vanishing {
                     vanishing.direction = (turned * vanishing.direction).normalize();
+                    if before.bends() || correction.bends() {
+                        fit_again(vanishing, &keyframe.features);
+                    }
                 }
             });
         }
     }
 }
 
-/// Whether a camera corrected this way still sees: all is finite, and the focal length positive.
-pub(super) fn leaves_a_camera(correction: &PinholeCorrection) -> bool {
-    let PinholeCorrection { focal, center_x, center_y } = correction;
-    [focal, center_x, center_y].iter().all(|value| value.is_finite()) && *focal > -1.0
+/// Fits a vanishing point to its segments as they are now: straight lines that the lens bends lead elsewhere.
+fn fit_again(vanishing: &mut VanishingObservation, features: &FrameFeatures) {
+    let planes: Vec<SegmentPlane> =
+        vanishing.segments.iter().filter_map(|idx| features.segment_plane(*idx as usize)).collect();
+    if let Some((direction, covariance)) = fit_direction(&planes, &vanishing.direction) {
+        (vanishing.direction, vanishing.covariance) = (direction, covariance);
+    }
 }
 
 /// Has a keyframe's rays be those of the corrected camera.
-pub(super) fn adapt(keyframe: &mut Keyframe, correction: &PinholeCorrection) {
+pub(super) fn adapt(keyframe: &mut Keyframe, correction: &CameraCorrection) {
     if !keyframe.features.has_correction(correction) {
         keyframe.features = Arc::new(keyframe.features.with_correction(correction));
     }

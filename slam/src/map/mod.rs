@@ -31,7 +31,7 @@ pub use line::LineLandmark;
 pub use point::{Observation, PointLandmark};
 pub use primitive::{GlobalPrimitive, PrimitiveObservation, VanishingObservation};
 
-use geometry::PinholeCorrection;
+use geometry::CameraCorrection;
 use paged::Paged;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -48,7 +48,7 @@ pub struct Map {
     next_point_idx: usize,
     next_line_idx: usize,
     next_primitive_idx: usize,
-    correction: PinholeCorrection,
+    correction: CameraCorrection,
     changes: MapChanges,
 }
 
@@ -66,7 +66,7 @@ pub struct MapParts {
     /// Removed keyframes that frames may still refer to.
     pub removed_keyframes: Vec<RemovedKeyframe>,
     /// How the camera differs from its calibration, as far as the session has found out.
-    pub correction: PinholeCorrection,
+    pub correction: CameraCorrection,
     /// Numbers above which ids are free; ids in use above them are respected too.
     pub last_ids: LastIds,
 }
@@ -171,7 +171,7 @@ impl Map {
     }
 
     /// How the camera differs from its calibration. All keyframes are of this camera.
-    pub fn correction(&self) -> PinholeCorrection {
+    pub fn correction(&self) -> CameraCorrection {
         self.correction
     }
 

@@ -66,7 +66,7 @@ impl Map {
     /// # Errors
     /// The first thing that is wrong.
     pub fn check(&self) -> Result<(), MapError> {
-        if !super::calibration::leaves_a_camera(&self.correction) {
+        if !self.correction.leaves_a_camera() {
             return Err(MapError(format!(
                 "the correction of the camera, {:?}, leaves none",
                 self.correction

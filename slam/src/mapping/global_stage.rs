@@ -1,7 +1,6 @@
 //! Where global bundle adjustment runs: at once, or on a thread of its own beside tracking and mapping.
 
-use super::intrinsics::{IntrinsicsCheck, check_intrinsics};
-use crate::bundle::calibration::IntrinsicsDoubt;
+use super::intrinsics::{IntrinsicsCheck, Look, Memory};
 use crate::bundle::global::{GlobalResult, adjust};
 use crate::config::{SlamConfig, Threading};
 use crate::map::{Map, SubmapId};
@@ -21,7 +20,7 @@ pub(super) enum Task {
     /// Poses, landmarks and primitives of a submap are adjusted.
     AdjustMap,
     /// The camera is looked at, and the submap adjusted to it if it turns out to be another than was thought.
-    CheckIntrinsics { doubt: Option<IntrinsicsDoubt> },
+    CheckIntrinsics { before: Memory },
 }
 
 /// What came of it.
@@ -34,8 +33,8 @@ impl Task {
     fn run(self, map: &Map, submap: SubmapId, config: &SlamConfig, abort: &AtomicBool) -> Option<Done> {
         match self {
             Self::AdjustMap => adjust(map, submap, config, abort).map(Done::Adjusted),
-            Self::CheckIntrinsics { doubt } => {
-                check_intrinsics(map, submap, doubt, config, abort).map(Done::CheckedIntrinsics)
+            Self::CheckIntrinsics { before } => {
+                Look { map, submap, config, abort }.check(before).map(Done::CheckedIntrinsics)
             }
         }
     }

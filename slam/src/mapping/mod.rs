@@ -17,6 +17,7 @@ use crate::map::{
     FramePose, FrameRecord, Keyframe, KeyframeId, Map, MapUpdate, Observation, PointId, SubmapId,
 };
 use crate::report::{LineJudgement, MapEvent};
+use geometry::CameraCorrection;
 use geometry::nalgebra::Vector3;
 use global_stage::{Done, GlobalStage, Task};
 use intrinsics::IntrinsicsMonitor;
@@ -25,6 +26,9 @@ use primitives::PrimitiveMapper;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+
+/// Looks at the camera at the end of a recording, at most, after one that moved it far.
+const MAX_LOOKS_AGAIN: usize = 3;
 
 /// A frame that tracking found worth keeping.
 #[derive(Debug)]
@@ -46,6 +50,8 @@ pub(crate) struct InitialMap {
     pub second: Keyframe,
     /// Keypoint of the first view, keypoint of the second, position.
     pub points: Vec<(usize, usize, Vector3<f64>)>,
+    /// The camera it was found with, if that was only tried.
+    pub hypothesis: Option<CameraCorrection>,
     pub frames: Vec<FrameRecord>,
 }
 
@@ -96,6 +102,9 @@ impl Mapper {
     pub fn begin(&mut self, initial: InitialMap) -> MapUpdate {
         let (first, second) = (initial.first.id, initial.second.id);
         self.grown.insert(initial.first.submap);
+        if let Some(camera) = initial.hypothesis {
+            self.map.set_correction(camera);
+        }
         self.map.add_keyframe(initial.first);
         self.map.add_keyframe(initial.second);
         for (first_idx, second_idx, position) in initial.points {
@@ -180,6 +189,13 @@ impl Mapper {
         // A short recording ends between two times of looking at the camera.
         self.check_intrinsics(1.0 / self.config.calibration.growth);
         self.take_over_global(true);
+        for _ in 0..MAX_LOOKS_AGAIN {
+            if !self.camera.as_ref().is_some_and(IntrinsicsMonitor::wants_another_look) {
+                break;
+            }
+            self.check_intrinsics(0.0);
+            self.take_over_global(true);
+        }
         self.adjust_by_primitives();
         self.update(Vec::new())
     }
@@ -197,7 +213,7 @@ impl Mapper {
     fn check_intrinsics(&mut self, share: f64) {
         let Some(camera) = self.camera.as_mut().filter(|_| self.global.is_idle()) else { return };
         let Some(submap) = camera.is_due(&self.map, share, &self.config.calibration) else { return };
-        let task = Task::CheckIntrinsics { doubt: camera.doubt() };
+        let task = Task::CheckIntrinsics { before: camera.memory() };
         let done = self.global.start(task, &self.map, submap, &self.config);
         self.take_over(done);
     }
@@ -248,12 +264,31 @@ impl Mapper {
             Some(Done::Adjusted(result)) => Some(result),
             Some(Done::CheckedIntrinsics(check)) => {
                 self.events.extend(self.camera.as_mut().and_then(|camera| camera.note(&check)));
-                check.adjusted
+                if let Some(result) = check.adjusted {
+                    result.merge_into(&mut self.map);
+                    if let Some(submap) = check.search_again {
+                        self.search_again(submap);
+                    }
+                }
+                None
             }
         };
         if let Some(result) = result {
             result.merge_into(&mut self.map);
         }
+    }
+
+    /// Looks for what the keyframes of a submap share once more: by another camera than the present one much
+    /// of it did not agree, and what was left agrees with that camera too well.
+    fn search_again(&mut self, submap: SubmapId) {
+        let ids: Vec<KeyframeId> = self.map.keyframes_of(submap).map(|keyframe| keyframe.id).collect();
+        for id in ids {
+            let made = triangulation::triangulate_with_neighbors(&mut self.map, id, &self.config.mapping);
+            self.recent_points.extend(made);
+            fusion::fuse_with_neighbors(&mut self.map, id, &self.config);
+        }
+        self.recent_points.retain(|id| self.map.point(*id).is_some());
+        self.lines.forget_missing(&self.map);
     }
 
     /// Puts a keyframe into the map where its reference now is. `false` if that has gone with its submap.

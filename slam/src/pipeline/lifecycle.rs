@@ -60,7 +60,7 @@ impl Pipeline {
             front_end,
             mapping,
             tracker,
-            initializer: is_empty.then(|| Initializer::new(&config)),
+            initializer: is_empty.then(|| Initializer::new(&config, true)),
             backfill: Backfill::new(config.clone()),
             submaps: SubmapPolicy::resume(config.submaps.clone(), &map),
             trajectory: TrajectoryLog::default(),

@@ -43,14 +43,15 @@ pub(crate) struct MeasuredCounts {
 /// Packs a keyframe's features.
 pub(crate) fn encode_features(features: &FrameFeatures) -> Vec<u8> {
     let n = features.keypoints.len();
-    let mut bytes = Vec::with_capacity(64 + n * KEYPOINT_BYTES + features.lines.len() * SEGMENT_BYTES);
+    let mut bytes =
+        Vec::with_capacity(64 + n * KEYPOINT_BYTES + features.nominal_lines().len() * SEGMENT_BYTES);
     bytes.push(VERSION);
     bytes.extend((n as u32).to_le_bytes());
     let Pinhole { fx, fy, cx, cy } = features.nominal_pinhole;
     [fx, fy, cx, cy].iter().for_each(|value| bytes.extend(value.to_le_bytes()));
     bytes.push(features.pyramid.n_levels);
     bytes.extend(features.pyramid.scale_factor.to_le_bytes());
-    bytes.extend((features.lines.len() as u32).to_le_bytes());
+    bytes.extend((features.nominal_lines().len() as u32).to_le_bytes());
     let columns: [fn(&Keypoint) -> f32; 4] = [|k| k.x, |k| k.y, |k| k.angle, |k| k.response];
     for column in columns {
         bytes.extend(features.keypoints.iter().flat_map(|keypoint| column(keypoint).to_le_bytes()));
@@ -59,7 +60,7 @@ pub(crate) fn encode_features(features: &FrameFeatures) -> Vec<u8> {
     for descriptor in &features.descriptors {
         bytes.extend(encode_descriptor(descriptor));
     }
-    features.lines.iter().for_each(|segment| push_segment(&mut bytes, segment));
+    features.nominal_lines().iter().for_each(|segment| push_segment(&mut bytes, segment));
     bytes
 }
 

@@ -35,6 +35,21 @@ pub struct SessionOptions {
     /// Most keyframes the session keeps.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_keyframes: Option<u32>,
+    /// How far what was said of the camera is to be believed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<Calibration>,
+}
+
+/// How far what was said of a camera is to be believed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Calibration {
+    /// It was calibrated.
+    Given,
+    /// Its focal length is known roughly.
+    Approximate,
+    /// Nothing is known but the size of the image.
+    Unknown,
 }
 
 #[derive(Serialize, Deserialize)]

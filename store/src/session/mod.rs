@@ -4,14 +4,14 @@ mod json;
 
 use crate::number::{from_column, from_column_u32, to_column};
 use crate::{Page, Store, StoreError};
-use geometry::{Camera, CameraParameters, PinholeCorrection};
+use geometry::{Camera, CameraCorrection, CameraParameters};
 use slam::map::{FrameState, LastIds};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 
-pub use json::SessionOptions;
 #[cfg(fuzzing)]
 pub(crate) use json::decode_camera;
+pub use json::{Calibration, SessionOptions};
 
 /// A session to be made.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,7 +34,7 @@ pub struct SessionRecord {
     /// The camera the frames come from, as it was given.
     pub camera: CameraParameters,
     /// How that camera differs from what was given, as far as the session has found out.
-    pub correction: PinholeCorrection,
+    pub correction: CameraCorrection,
     /// The session's options.
     pub options: SessionOptions,
     /// Whether small images are worked on enlarged (`SlamConfig::enlarge_below_px`): not in sessions that
@@ -271,10 +271,12 @@ pub(crate) fn parse_session(row: &SqliteRow) -> Result<(i64, SessionRecord), Sto
     let record = SessionRecord {
         id: row.try_get("id")?,
         camera: json::decode_camera(row.try_get("camera")?)?,
-        correction: PinholeCorrection {
+        correction: CameraCorrection {
             focal: row.try_get("focal_correction")?,
             center_x: row.try_get("centre_x_correction")?,
             center_y: row.try_get("centre_y_correction")?,
+            k1: row.try_get("k1_correction")?,
+            k2: row.try_get("k2_correction")?,
         },
         options: json::decode_options(row.try_get("options")?)?,
         enlarges_small_images: row.try_get("enlarges_small_images")?,
@@ -332,18 +334,21 @@ pub(crate) async fn write_progress(
 pub(crate) async fn write_correction(
     connection: &mut SqliteConnection,
     number: i64,
-    correction: &PinholeCorrection,
+    correction: &CameraCorrection,
 ) -> Result<(), StoreError> {
-    let PinholeCorrection { focal, center_x, center_y } = *correction;
-    if ![focal, center_x, center_y].iter().all(|value| value.is_finite()) {
+    let CameraCorrection { focal, center_x, center_y, k1, k2 } = *correction;
+    if ![focal, center_x, center_y, k1, k2].iter().all(|value| value.is_finite()) {
         return Err(StoreError::NotFinite("the correction of the camera".into()));
     }
     sqlx::query(
-        "UPDATE sessions SET focal_correction = ?, centre_x_correction = ?, centre_y_correction = ? WHERE number = ?",
+        "UPDATE sessions SET focal_correction = ?, centre_x_correction = ?, centre_y_correction = ?,
+         k1_correction = ?, k2_correction = ? WHERE number = ?",
     )
     .bind(focal)
     .bind(center_x)
     .bind(center_y)
+    .bind(k1)
+    .bind(k2)
     .bind(number)
     .execute(connection)
     .await?;

@@ -1,5 +1,5 @@
 use crate::world::*;
-use geometry::{PinholeCorrection, Pose};
+use geometry::{CameraCorrection, Pose};
 use nalgebra::Vector3;
 use slam::config::SlamConfig;
 use slam::map::{FrameState, LastIds, MapChanges, MapParts, RemovedKeyframe, SubmapId};
@@ -47,12 +47,13 @@ async fn a_saved_map_comes_back_bit_for_bit() {
 async fn a_camera_that_was_put_right_comes_back() {
     let folder = tempfile::tempdir().unwrap();
     let store = store_with_session(folder.path()).await;
-    let correction = PinholeCorrection { focal: -0.013, center_x: 0.002, center_y: 0.1 + 0.2 };
+    let correction =
+        CameraCorrection { focal: -0.013, center_x: 0.002, center_y: 0.1 + 0.2, k1: -0.03, k2: 0.001 };
     let saved = MapParts { correction, ..parts(12, SMALL) };
     let update = first_update(&saved);
     store.save_update("s", &update, TRACKED, &[]).await.unwrap();
     let record = store.get_session("s").await.unwrap();
-    assert_eq!((record.correction, record.refined_camera()), (PinholeCorrection::default(), None));
+    assert_eq!((record.correction, record.refined_camera()), (CameraCorrection::default(), None));
 
     let changes = MapChanges { correction: true, ..MapChanges::default() };
     let update = MapUpdate { map: update.map, changes, frames: vec![] };
@@ -71,7 +72,7 @@ async fn a_camera_that_was_put_right_comes_back() {
     assert_same_parts(&resumed.to_parts(), &update.map.to_parts());
 
     // What cannot be a camera is refused.
-    let broken = PinholeCorrection { focal: f64::NAN, ..correction };
+    let broken = CameraCorrection { focal: f64::NAN, ..correction };
     assert!(Map::from_parts(MapParts { correction: broken, ..parts(12, SMALL) }).is_err());
 }
 

@@ -43,4 +43,5 @@ mod tests;
 pub use config::{VanishingConfig, VanishingConfigError};
 pub use estimator::{VanishingEstimator, VanishingPoint, VanishingPoints};
 pub use plane::SegmentPlane;
+pub use refine::fit_direction;
 pub use rotation::{DirectionPair, rotation_from_directions, rotation_hypotheses};

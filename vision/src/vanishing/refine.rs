@@ -34,6 +34,17 @@ impl Fit {
     }
 }
 
+/// The direction of parallel lines that segments show, unit, with its covariance of rank 2, from a rough one.
+/// `None` if they do not determine it.
+pub fn fit_direction(
+    segments: &[SegmentPlane],
+    rough: &Vector3<f64>,
+) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    let Fit { direction, covariance } = fit(segments.iter(), rough)?;
+    let sign = if direction.dot(rough) < 0.0 { -1.0 } else { 1.0 };
+    Some((direction * sign, covariance))
+}
+
 /// Weighted sums over segments, for one direction.
 struct Moments {
     /// `sum w m m^T`: the information in the normals, noise and all.

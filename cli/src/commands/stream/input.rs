@@ -12,12 +12,11 @@ use recordings::{
     OpenOptions, Recording, TimeUnit, VideoInput, find_folder, read_calibration, read_pipe,
 };
 
-/// Field of view that is assumed of a camera nobody knows, across the longer side of its images: phones film
-/// with 60 to 70 degrees, webcams with 55 to 75.
-const ASSUMED_FOV_DEG: f64 = 65.0;
-
 /// The word for a camera whose calibration nobody knows.
 const UNKNOWN: &str = "unknown";
+/// Across the longer side: what stands in for the calibration of a folder until the session finds it. Nothing
+/// is computed with it.
+const STAND_IN_FOV_DEG: f64 = 65.0;
 
 /// The calibration beside a video.
 const CALIBRATION: &str = "calib.json";
@@ -157,11 +156,14 @@ fn is_folder(path: &Path) -> bool {
 fn open_folder(path: &Path, args: &InputArgs, fps: Option<f64>, calibration: Option<&Path>) -> Result<Input> {
     let folder = find_folder(path)?;
     let name = name(path);
-    let of_size = |size: (u32, u32)| -> Result<Camera, FileError> {
+    let is_unknown = calibration == Some(Path::new(UNKNOWN));
+    let camera_of_size = |(width, height): (u32, u32)| -> Result<Camera, FileError> {
         let given = Given { file: calibration, fov_deg: args.fov, recorded: None };
         let refused =
             |error: anyhow::Error| FileError::Content { path: folder.clone(), message: format!("{error:#}") };
-        let camera = given.camera(&folder.join("images"), &name, size).map_err(refused)?;
+        let camera = given.camera(&folder.join("images"), &name, (width, height)).map_err(refused)?;
+        let stand_in = || from_field_of_view(STAND_IN_FOV_DEG, width, height);
+        let camera = if is_unknown { stand_in() } else { camera };
         Camera::new(camera).map_err(|error| refused(error.into()))
     };
     let is_given = calibration.is_some() || args.fov.is_some();
@@ -171,13 +173,14 @@ fn open_folder(path: &Path, args: &InputArgs, fps: Option<f64>, calibration: Opt
         times: args.times,
         sort: args.sort,
         skip_bad: args.skip_bad,
-        camera: is_given.then_some(&of_size as CameraOfSize<'_>),
+        camera: is_given.then_some(&camera_of_size as CameraOfSize<'_>),
     };
     let recording = Recording::open_with(&folder, &options)?;
     for remark in &recording.remarks {
         eprintln!("{remark}");
     }
     let camera = recording.camera.parameters().clone();
+    let camera = if is_unknown { of_size(camera.width, camera.height) } else { camera };
     let is_timed_by_rate = recording.layout == Layout::Pictures || args.times == Some(TimeUnit::Frames);
     let name = recording.name.clone();
     Ok(Input { name, source: Arc::new(recording), camera, is_timed_by_rate, sequential: None })
@@ -272,8 +275,11 @@ impl Given<'_> {
                      or --fov DEG for a guess from its field of view"
                 )
             })?)?,
-            (None, fov_deg, _) => {
-                let fov_deg = fov_deg.unwrap_or(ASSUMED_FOV_DEG);
+            (None, None, _) => {
+                eprintln!("the calibration of {name} is not known: it is found as the map grows");
+                return Ok(of_size(width, height));
+            }
+            (None, Some(fov_deg), _) => {
                 eprintln!(
                     "the calibration of {name} is taken from a field of view of {fov_deg} degrees, without \
                      distortion: shapes come out wrong as far as that is"
@@ -299,6 +305,12 @@ impl Given<'_> {
 
 fn from_file(file: &Path) -> Result<(CameraParameters, String)> {
     Ok((read_calibration(file)?.parameters().clone(), file.display().to_string()))
+}
+
+/// A camera given by the size of its images alone.
+fn of_size(width: u32, height: u32) -> CameraParameters {
+    let (model, distortion) = (CameraModel::Pinhole, Vec::new());
+    CameraParameters { model, width, height, fx: 0.0, fy: 0.0, cx: 0.0, cy: 0.0, distortion }
 }
 
 fn from_field_of_view(fov_deg: f64, width: u32, height: u32) -> CameraParameters {
@@ -350,7 +362,8 @@ mod tests {
         };
         let refused = camera_of(None, None).unwrap_err().to_string();
         assert!(refused.contains("is not known") && refused.contains("--fov"), "{refused}");
-        assert!(camera_of(Some(UNKNOWN), None).is_ok());
+        let unknown = camera_of(Some(UNKNOWN), None).unwrap();
+        assert_eq!((unknown.width, unknown.height, unknown.fx), (64, 48, 0.0), "the size alone is told");
         let calibration = |width: u32, height: u32| {
             let text = format!(
                 r#"{{"width": {width}, "height": {height}, "fx": 60, "fy": 60, "cx": 31, "cy": 23, "dist": []}}"#

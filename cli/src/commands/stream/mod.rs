@@ -189,7 +189,12 @@ async fn open_session(client: &mut SlamClient, args: &StreamArgs, input: &Input)
     if let Some(name) = &args.session
         && let Some(session) = client.session(name).await?
     {
-        if session.camera.as_ref() != Some(&camera) {
+        let is_same = |theirs: &v1::Camera| {
+            // Of a camera that nobody knows the session has a guess.
+            let is_unknown = camera.fx == 0.0 && camera.fy == 0.0;
+            *theirs == camera || is_unknown && (theirs.width, theirs.height) == (camera.width, camera.height)
+        };
+        if !session.camera.as_ref().is_some_and(is_same) {
             bail!("the session `{name}` was made for another camera than that of {}", input.name);
         }
         if args.options.message() != v1::SessionOptions::default() {

@@ -11,7 +11,7 @@ pub(super) struct Rows {
     lines: BTreeMap<LineId, LineLandmark>,
     primitives: BTreeMap<PrimitiveId, GlobalPrimitive>,
     removed_keyframes: BTreeMap<KeyframeId, RemovedKeyframe>,
-    correction: PinholeCorrection,
+    correction: CameraCorrection,
 }
 
 #[derive(Debug, PartialEq)]

@@ -28,6 +28,7 @@ pub(super) enum WholeEdit {
         focal: f64,
         center_x: f64,
         center_y: f64,
+        k1: f64,
     },
 }
 
@@ -50,10 +51,13 @@ pub(super) fn edits() -> impl Strategy<Value = WholeEdit> {
             parent
         }),
         submap().prop_map(|submap| WholeEdit::Discard { submap }),
-        [number(), number(), number()].prop_map(|[focal, center_x, center_y]| WholeEdit::Recalibrate {
-            focal: 0.2 * focal,
-            center_x: 0.1 * center_x,
-            center_y: 0.1 * center_y,
+        [number(), number(), number(), number()].prop_map(|[focal, center_x, center_y, k1]| {
+            WholeEdit::Recalibrate {
+                focal: 0.2 * focal,
+                center_x: 0.1 * center_x,
+                center_y: 0.1 * center_y,
+                k1: 0.05 * k1,
+            }
         }),
     ]
 }
@@ -70,10 +74,12 @@ impl WholeEdit {
                 merge(map, SubmapId(*gone), SubmapId(*kept), *root, *parent);
             }
             Self::Discard { submap } => map.remove_submap(SubmapId(*submap)),
-            Self::Recalibrate { focal, center_x, center_y } => map.set_correction(PinholeCorrection {
+            Self::Recalibrate { focal, center_x, center_y, k1 } => map.set_correction(CameraCorrection {
                 focal: *focal,
                 center_x: *center_x,
                 center_y: *center_y,
+                k1: *k1,
+                k2: k1 * k1,
             }),
         }
     }

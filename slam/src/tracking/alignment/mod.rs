@@ -12,7 +12,7 @@ mod tests;
 
 use crate::config::AlignmentConfig;
 use geometry::nalgebra::{UnitQuaternion, Vector3};
-use geometry::{Camera, PinholeCorrection, Pose};
+use geometry::{Camera, CameraCorrection, Pose};
 use level::{LevelPatches, Motion};
 use pyramid::HalvedImages;
 use std::sync::Arc;
@@ -35,7 +35,7 @@ impl Aligner {
     }
 
     /// Takes over how the camera differs from its calibration.
-    pub fn correct_camera(&mut self, correction: PinholeCorrection) {
+    pub fn correct_camera(&mut self, correction: CameraCorrection) {
         if self.camera.correction() != correction {
             self.camera = self.camera.with_correction(correction);
         }

@@ -1,17 +1,21 @@
 //! Runs the engine alone over a recording and writes the trajectory, for work on the engine itself.
 //!
 //! `cargo run --release -p testkit --bin track_folder -- DATASET OUT.txt [--inline] [--start N] [--end N]
-//! [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--no-calibration] [--verbose] [--states]`
+//! [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--no-calibration] [--unknown-camera]
+//! [--approximate-camera] [--wide-calibration] [--verbose] [--states] [--log]`
 //!
 //! The dataset is a folder of a layout that `monoslam` reads, also looked for in the folder that
 //! `MONOSLAM_DATA` names. `--states` prints how many frames of each state are wrong, where the recording has
-//! a truth. Through the service, and measured against the truth, is the business of `monoslam`.
+//! a truth. `--unknown-camera` tells the engine the size of the image alone, `--approximate-camera` that the
+//! calibration is rough, `--wide-calibration` to give it up where the images contradict it; `--log` prints
+//! what it logs. Through the service, and measured against the truth, is the business of `monoslam`.
 
 mod states;
 
+use geometry::{Camera, CameraParameters};
 use recordings::{Recording, Trajectory, find_folder};
 use slam::map::{FrameRecord, FrameState};
-use slam::{FeatureSwitches, Frame, Pipeline, ResumeState, SlamConfig, Threading};
+use slam::{CalibrationTrust, FeatureSwitches, Frame, Pipeline, ResumeState, SlamConfig, Threading};
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::sync::Arc;
@@ -28,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let folder = find_folder(dataset)?;
     let recording = Recording::open(&folder, None)?;
-    let config = SlamConfig {
+    let mut config = SlamConfig {
         threading: if flag("--inline") { Threading::Inline } else { Threading::Background },
         seed: value("--seed").map_or(Ok(0), |seed| seed.parse())?,
         features: FeatureSwitches {
@@ -39,8 +43,20 @@ fn main() -> Result<(), Box<dyn Error>> {
         },
         ..SlamConfig::default()
     };
+    let mut camera = recording.camera;
+    if flag("--unknown-camera") {
+        config.calibration.trust = CalibrationTrust::Unknown;
+        camera = Camera::new(config.calibration.camera_of_size(camera.width(), camera.height()))?;
+    }
+    config.calibration.wide = flag("--wide-calibration");
+    if flag("--approximate-camera") {
+        config.calibration.trust = CalibrationTrust::Approximate;
+    }
+    if flag("--log") {
+        tracing_subscriber::fmt().with_max_level(tracing::Level::DEBUG).with_ansi(false).init();
+    }
     let clock = Arc::new(WallClock::start());
-    let mut pipeline = Pipeline::resume(config, recording.camera, clock, ResumeState::default())?;
+    let mut pipeline = Pipeline::resume(config, camera.clone(), clock, ResumeState::default())?;
 
     let mut records: BTreeMap<u64, FrameRecord> = BTreeMap::new();
     let (mut cpu_ms, mut wall_ms) = (Vec::new(), Vec::new());
@@ -120,6 +136,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         map.n_primitives(),
         made.primitive,
     );
+    let CameraParameters { fx, fy, cx, cy, distortion, .. } =
+        camera.with_correction(map.correction()).corrected_parameters();
+    println!("camera fx {fx:.2} fy {fy:.2} cx {cx:.2} cy {cy:.2} distortion {distortion:.4?}");
     println!("cpu ms: {} wall ms: {} total {elapsed:.1} s", summary(&mut cpu_ms), summary(&mut wall_ms));
     for (name, times) in &mut stage_ms {
         println!("  {name}: {}", summary(times));

@@ -143,7 +143,15 @@ fn track(
     config.features.lines = !flag("--no-lines");
     config.features.global_primitives = with_primitives;
     let clock = Arc::new(WallClock::start());
-    let camera = given_camera(recording.camera(), arguments)?;
+    let mut camera = given_camera(recording.camera(), arguments)?;
+    if flag("--unknown-camera") {
+        config.calibration.trust = slam::CalibrationTrust::Unknown;
+        camera = Camera::new(config.calibration.camera_of_size(camera.width(), camera.height()))?;
+    }
+    if flag("--log") {
+        tracing_subscriber::fmt().with_max_level(tracing::Level::DEBUG).with_ansi(false).init();
+    }
+    let nominal = camera.clone();
     let mut pipeline = Pipeline::resume(config.clone(), camera, clock, ResumeState::default())?;
 
     let n_frames = value("--frames").map_or(Ok(recording.len()), |n| n.parse())?.min(recording.len());
@@ -182,6 +190,7 @@ fn track(
     }
     let revisit = Revisit::of(&map, &recording, n_frames);
     let (n_loops, n_merges) = (run.n_loops, run.n_merges);
+    print_camera(recording.camera(), &nominal.with_correction(map.correction()));
     run.print(&map);
     places.print(&recording, n_shown);
     if let Some(revisit) = &revisit {
@@ -208,6 +217,14 @@ fn track(
         ate_share: score.as_ref().map(|score| score.ate / score.path),
         drift_deg: score.as_ref().map(|score| score.rotation_drift_deg),
     })
+}
+
+/// The camera as it was found beside the true one.
+fn print_camera(truth: &Camera, found: &Camera) {
+    for (name, camera) in [("true", truth.clone()), ("found", found.clone())] {
+        let CameraParameters { fx, fy, cx, cy, distortion, .. } = camera.corrected_parameters();
+        println!("{name} camera: fx {fx:.2} fy {fy:.2} cx {cx:.2} cy {cy:.2} distortion {distortion:.4?}");
+    }
 }
 
 fn print_report(

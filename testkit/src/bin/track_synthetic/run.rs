@@ -27,7 +27,9 @@ impl Run {
             match event {
                 MapEvent::LoopClosed { .. } => self.n_loops += 1,
                 MapEvent::SubmapsMerged { .. } => self.n_merges += 1,
-                MapEvent::CalibrationRefined { .. } | MapEvent::CalibrationContradicted { .. } => {}
+                MapEvent::CalibrationRefined { .. }
+                | MapEvent::CalibrationContradicted { .. }
+                | MapEvent::CalibrationUndetermined { .. } => {}
             }
         }
         self.cpu_ms.push(report.cpu_ns as f64 * 1e-6);
