@@ -1,7 +1,7 @@
 //! What a client asks of a session, and what the engine runs with then.
 
-use crate::error::{ApiError, ErrorCode, FieldViolation};
-use geometry::CameraParameters;
+use crate::error::{ApiError, FieldViolation};
+use geometry::{Camera, CameraParameters};
 use serde::{Deserialize, Serialize};
 use slam::{CalibrationConfig, CalibrationTrust, FeatureSwitches, SlamConfig, Threading};
 use store::SessionRecord;
@@ -149,6 +149,13 @@ pub fn camera_to_begin_with(
     (CalibrationConfig::default().camera_of_size(camera.width, camera.height), options)
 }
 
+/// What is doubtful about a camera without keeping it from being used, in plain sentences.
+pub fn camera_warnings(camera: &CameraParameters) -> Vec<String> {
+    let lens = Camera::new(camera.clone()).map_or_else(|_| Vec::new(), |camera| camera.warnings());
+    let doubt = CalibrationConfig::default().suspicion(camera);
+    lens.into_iter().chain(doubt.map(|doubt| format!("the calibration is doubtful: {doubt}"))).collect()
+}
+
 /// The engine's configuration for a stored session.
 ///
 /// # Errors
@@ -257,6 +264,14 @@ mod tests {
         assert_eq!((&camera, options.calibration), (&given, None));
         let doubted = SessionOptions { calibration: Some(Calibration::Unknown), ..options };
         assert_eq!(camera_to_begin_with(given, doubted).0, size);
+    }
+
+    #[test]
+    fn doubtful_cameras_are_told_apart() {
+        let size = CalibrationConfig::default().camera_of_size(640, 480);
+        assert_eq!(camera_warnings(&size), Vec::<String>::new());
+        let of_half = CameraParameters { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5, ..size };
+        assert!(matches!(&camera_warnings(&of_half)[..], [doubt] if doubt.contains("another size")));
     }
 
     #[test]

@@ -4,14 +4,13 @@ use crate::access::{self, Access, Caller, Change};
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
 use crate::maps::{MapQueries, Observed, SceneParts};
-use crate::options::{SessionOptions, camera_to_begin_with, engine_config};
+use crate::options::{SessionOptions, camera_to_begin_with, camera_warnings, engine_config};
 use crate::page::{Page, PageRequest};
 use crate::session::{
     self, FrameQueue, LoadContext, Located, OpenRequest, Registry, Replies, Reply, SentImage, SessionId,
     SessionView, ShownFrame,
 };
 use geometry::{Camera, CameraParameters};
-use slam::CalibrationConfig;
 use std::sync::Arc;
 use std::time::Duration;
 use store::{SessionChanges, SessionRecord, Store, StoredImage};
@@ -108,15 +107,13 @@ impl Service {
         self.check_room_for_session(caller).await?;
         let id = id.unwrap_or_else(|| SessionId::generate(caller.owner()));
         let created_at_ns = crate::clock::since_1970_ns();
-        let (camera, warnings) = (camera.parameters().clone(), camera.warnings());
         let (id_text, options) = (id.as_str().to_owned(), options.into());
+        let camera = camera.parameters().clone();
         let new = store::NewSession { id: id_text, camera, options, created_at_ns };
         let record = self.store.create_session(&new).await?;
         *n_sessions += 1;
         access::record(caller, Change::Created, &id);
-        let doubts = CalibrationConfig::default().suspicion(&record.camera);
-        let doubts = doubts.map(|doubt| format!("the calibration is doubtful: {doubt}"));
-        for warning in warnings.into_iter().chain(doubts) {
+        for warning in camera_warnings(&record.camera) {
             tracing::warn!(session.id = %id, "session {id}: {warning}");
         }
         Ok(self.view(&id, record))

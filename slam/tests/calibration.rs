@@ -138,7 +138,7 @@ fn radial_distortion_of_an_unknown_camera_is_found() {
     });
     let camera = found.corrected_parameters();
     println!("{camera:?}, error {:.5}", walk.error());
-    // The walk is fast, and what was tracked by the guess of the first seconds stays bent: that is not judged.
+    // The walk is fast, and what was tracked by the first guess stays bent: that is not judged.
     assert!((camera.fx / 460.0 - 1.0).abs() < 0.06, "{camera:?}");
     assert!((camera.distortion[0] + 0.25).abs() < 0.04, "{camera:?}");
 }

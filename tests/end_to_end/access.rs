@@ -195,7 +195,7 @@ async fn pages_of_others_reach_no_server_without_tokens() {
     assert_eq!(preflight.headers()["access-control-allow-origin"], "https://maps.example");
     let unasked = http(&server, Method::GET, path, &foreign).await;
     assert!(!unasked.headers().contains_key("access-control-allow-origin"));
-    assert_eq!(status(&server, Method::DELETE, path, &[("origin", "https://maps.example")]).await, 204);
+    assert_eq!(status(&server, Method::DELETE, path, &[("origin", "https://maps.example")]).await, 200);
 }
 
 #[tokio::test(flavor = "multi_thread")]

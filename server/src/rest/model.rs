@@ -3,7 +3,7 @@
 use crate::access::Caller;
 use crate::error::ApiError;
 use crate::model::{Camera, Scale, State};
-use crate::options::SessionOptions;
+use crate::options::{SessionOptions, camera_warnings};
 use crate::service::NewSession;
 use crate::session::SessionView;
 use serde::{Deserialize, Serialize};
@@ -112,8 +112,7 @@ impl From<SessionView> for Session {
     fn from(view: SessionView) -> Self {
         Self {
             id: view.id,
-            camera_warnings: geometry::Camera::new(view.camera.clone())
-                .map_or_else(|_| Vec::new(), |c| c.warnings()),
+            camera_warnings: camera_warnings(&view.camera),
             camera: view.camera.into(),
             refined_camera: view.refined_camera.map(Camera::from),
             options: view.options,

@@ -217,7 +217,7 @@ impl<'a> Calibration<'a> {
     /// What errors of keypoints count for at least. A calibration that was given is a measurement like the
     /// images, and how far they are to be believed is told by looks that agree.
     fn least_inflation(&self) -> f64 {
-        if self.is_given() { 1.0 } else { self.config.least_inflation }
+        if self.is_given() { self.config.given_inflation } else { self.config.least_inflation }
     }
 
     /// Counts what was known before as much as it deserves beside the images: as errors of keypoints are

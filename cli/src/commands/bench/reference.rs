@@ -1,5 +1,5 @@
-//! A job that is the same everywhere: what it takes tells machines, and hours of one machine, apart. Times per
-//! frame are compared between machines by their ratio to it.
+//! A job that is the same everywhere: what it takes tells machines, and hours of one machine, apart. Times
+//! per frame are compared between machines by their ratio to it.
 
 use std::hint::black_box;
 use std::time::Instant;

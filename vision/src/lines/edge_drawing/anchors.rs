@@ -54,7 +54,7 @@ impl Anchors {
     }
 
     /// Flags pixels 1 to `width - 2` of row `y`: 1 for an anchor, 0 for none. Edges that run along x are cut
-    /// by every so-many-th column, the others by rows. Without branches, so that many pixels are done at once.
+    /// by every so-many-th column, the others by rows. Without branches: many pixels are done at once.
     #[inline(always)]
     fn flag_row(&mut self, gradients: &Gradients, y: usize, min_magnitude: i16) {
         let n = gradients.width - 2;
