@@ -205,8 +205,8 @@ fn unknown_layout(root: &Path) -> String {
     if root.join("rgb.txt").is_file() {
         return String::from(
             "the camera is not known: there is neither a calib.json nor a freiburg1, freiburg2 or freiburg3 in \
-             the folder's name. Give the calibration with --camera FILE, or the field of view with --fov (for other \
-             recordings name the layout with --layout)",
+             the folder's name. Give the calibration with --camera FILE, the field of view with --fov, or have it found \
+             with --camera unknown (for other recordings name the layout with --layout)",
         );
     }
     let names = Layout::ALL.map(Layout::name).join(", ");

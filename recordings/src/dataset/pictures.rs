@@ -44,7 +44,7 @@ pub(super) fn read(root: &Path, reading: &Reading<'_>) -> Result<Content, FileEr
         [_, inside] if inside.is_file() => read_calibration(&inside),
         [beside, _] => {
             let message = "there is no such file: the camera's calibration belongs in it, or give it with --camera \
-                           FILE, or its field of view with --fov";
+                           FILE, its field of view with --fov, or --camera unknown to have it found";
             Err(FileError::content(&beside, message))
         }
     })?;

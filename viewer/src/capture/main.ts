@@ -93,7 +93,12 @@ async function createSession(name: string, width: number, height: number, fovDeg
   const response = await request('/v1/sessions', {
     method: 'POST',
     headers: { 'content-type': 'application/json' },
-    body: JSON.stringify({ ...(name ? { id: name } : {}), camera: assumedCamera(width, height, fovDeg) }),
+    body: JSON.stringify({
+      ...(name ? { id: name } : {}),
+      camera: assumedCamera(width, height, fovDeg),
+      // The angle is a guess: the session finds focal length and distortion as the map grows.
+      options: { calibration: 'approximate' },
+    }),
   });
   return ((await response.json()) as { id: string }).id;
 }

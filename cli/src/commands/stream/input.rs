@@ -264,24 +264,25 @@ struct Given<'a> {
 
 impl Given<'_> {
     /// The calibration that was given, else that a field of view makes, else that was recorded or lies beside
-    /// the source. It must be for images of this size.
+    /// the source, else the size alone. It must be for images of this size.
     fn camera(self, path: &Path, name: &str, (width, height): (u32, u32)) -> Result<CameraParameters> {
         let is_unknown = self.file == Some(Path::new(UNKNOWN));
-        let beside = || path.parent().map(|folder| folder.join(CALIBRATION)).filter(|file| file.is_file());
-        let (camera, origin) = match (self.file.filter(|_| !is_unknown), self.fov_deg, self.recorded) {
+        let recorded = self.recorded.filter(|_| !is_unknown);
+        let beside = path.parent().map(|folder| folder.join(CALIBRATION));
+        let beside = beside.filter(|file| !is_unknown && file.is_file());
+        let file = self.file.filter(|_| !is_unknown);
+        let (camera, origin) = match (file, self.fov_deg, recorded, beside) {
             (Some(file), ..) => from_file(file)?,
-            (None, None, Some(recorded)) if !is_unknown => (recorded, "its calibration".to_owned()),
-            (None, None, _) if !is_unknown => from_file(&beside().with_context(|| {
-                format!(
-                    "the camera of {name} is not known: give its calibration with --camera FILE (as calib.json), \
-                     or --fov DEG for a guess from its field of view"
-                )
-            })?)?,
-            (None, None, _) => {
-                eprintln!("the calibration of {name} is not known: it is found as the map grows");
+            (None, None, Some(recorded), _) => (recorded, "its calibration".to_owned()),
+            (None, None, None, Some(beside)) => from_file(&beside)?,
+            (None, None, None, None) => {
+                eprintln!(
+                    "the calibration of {name} is not known: it is found as the map grows; where it is known, give it \
+                     with --camera FILE (as calib.json)"
+                );
                 return Ok(of_size(width, height));
             }
-            (None, Some(fov_deg), _) => {
+            (None, Some(fov_deg), ..) => {
                 eprintln!(
                     "the calibration of {name} is taken from a field of view of {fov_deg} degrees, without \
                      distortion: shapes come out wrong as far as that is"
@@ -366,10 +367,10 @@ mod tests {
             let given = Given { file: file.map(Path::new), fov_deg, recorded: None };
             given.camera(&video, "a.mp4", (64, 48))
         };
-        let refused = camera_of(None, None).unwrap_err().to_string();
-        assert!(refused.contains("is not known") && refused.contains("--fov"), "{refused}");
-        let unknown = camera_of(Some(UNKNOWN), None).unwrap();
-        assert_eq!((unknown.width, unknown.height, unknown.fx), (64, 48, 0.0), "the size alone is told");
+        for word in [None, Some(UNKNOWN)] {
+            let unknown = camera_of(word, None).unwrap();
+            assert_eq!((unknown.width, unknown.height, unknown.fx), (64, 48, 0.0), "the size alone is told");
+        }
         let calibration = |width: u32, height: u32| {
             let text = format!(
                 r#"{{"width": {width}, "height": {height}, "fx": 60, "fy": 60, "cx": 31, "cy": 23, "dist": []}}"#
