@@ -349,13 +349,23 @@ impl<'a> Calibration<'a> {
     }
 }
 
+/// Two vanishing directions of a keyframe that seem to be perpendicular.
+struct RightAngle {
+    /// The primitives they belong to, if both do.
+    pair: Option<[PrimitiveId; 2]>,
+    /// Rays of the calibration that the features are of.
+    rays: [Vector3<f64>; 2],
+    /// Of the cosine between them.
+    variance: f64,
+}
+
 /// What right angles of a building say of the camera: pairs of vanishing directions of a keyframe that are
 /// perpendicular or nearly so. Those of the same two primitives in several keyframes are of the same edges,
 /// and count for less the more there are.
 fn right_angles(map: &Map, submap: SubmapId, config: &CalibrationConfig) -> Vec<OrthogonalityFactor> {
     let nominal_from_corrected = map.correction().nominal_from_corrected();
     let max_cosine = config.right_angle_gate_deg.to_radians().sin();
-    let mut found: Vec<(Option<[PrimitiveId; 2]>, [Vector3<f64>; 2], f64)> = Vec::new();
+    let mut found: Vec<RightAngle> = Vec::new();
     for keyframe in map.keyframes_of(submap) {
         for (idx, first) in keyframe.vanishing.iter().enumerate() {
             for second in &keyframe.vanishing[idx + 1..] {
@@ -368,14 +378,14 @@ fn right_angles(map: &Map, submap: SubmapId, config: &CalibrationConfig) -> Vec<
                     + config.right_angle_sigma_deg.to_radians().powi(2);
                 let pair = first.primitive.zip(second.primitive).map(|(a, b)| [a.min(b), a.max(b)]);
                 let rays = [first.direction, second.direction].map(|ray| nominal_from_corrected * ray);
-                found.push((pair, rays, variance));
+                found.push(RightAngle { pair, rays, variance });
             }
         }
     }
-    let n_of = |pair: &Option<[PrimitiveId; 2]>| found.iter().filter(|other| other.0 == *pair).count();
-    let factor = |(pair, nominal, variance): &(_, _, f64)| OrthogonalityFactor {
-        nominal: *nominal,
-        inverse_sigma: 1.0 / (variance * (n_of(pair) as f64).sqrt()).sqrt(),
+    let n_of = |pair: &Option<[PrimitiveId; 2]>| found.iter().filter(|other| other.pair == *pair).count();
+    let factor = |angle: &RightAngle| OrthogonalityFactor {
+        nominal: angle.rays,
+        inverse_sigma: 1.0 / (angle.variance * (n_of(&angle.pair) as f64).sqrt()).sqrt(),
     };
     found.iter().map(factor).collect()
 }
