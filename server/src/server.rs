@@ -41,10 +41,11 @@ impl Server {
     /// As [`Self::start`].
     pub async fn start_with_guest(config: Config, guest: Option<TokenRecord>) -> anyhow::Result<Running> {
         config.validate()?;
-        let lock = lock_folder(&config.data_dir)?;
+        let mut lock = DataLock::take(&config.data_dir)?;
         let max_files = raise_file_limit();
         let tls = Certificates::of(&config.tls)?;
         let store = open_store(&config).await?;
+        lock.lock_database(&config.data_dir)?;
         let grpc_listener = listen("grpc_addr", config.grpc_addr).await?;
         let http_listener = listen("http_addr", config.http_addr).await?;
         let (grpc_addr, http_addr) = (grpc_listener.local_addr()?, http_listener.local_addr()?);
@@ -99,7 +100,7 @@ pub struct Running {
     grace: Duration,
     _ended: DropGuard,
     /// Held as long as the server runs.
-    _lock: File,
+    _lock: DataLock,
 }
 
 /// How a shutdown went.
@@ -194,15 +195,46 @@ async fn end_connections(tasks: Vec<Serving>, patience: Duration) {
     }
 }
 
-/// Makes the data folder and locks it: two servers on one database would each believe to own its sessions.
-fn lock_folder(folder: &Path) -> anyhow::Result<File> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    let path = folder.join(LOCK_FILE);
-    let file = File::create(&path).with_context(|| format!("cannot make the file {}", path.display()))?;
+/// Held by who uses a data folder: two servers on one database would each believe to own its sessions.
+struct DataLock {
+    _folder: File,
+    _database: Option<File>,
+}
+
+impl DataLock {
+    /// Makes the data folder and locks it, and the database in it, if there is one: the lock's own file may
+    /// have been removed. SQLite's locks are of another kind and go beside this one.
+    fn take(folder: &Path) -> anyhow::Result<Self> {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        let path = folder.join(LOCK_FILE);
+        let file = File::create(&path).with_context(|| format!("cannot make the file {}", path.display()))?;
+        lock(&file, &path)?;
+        let mut taken = Self { _folder: file, _database: None };
+        if folder.join(DATABASE_FILE).exists() {
+            taken.lock_database(folder)?;
+        }
+        Ok(taken)
+    }
+
+    /// Locks the database, unless that was done already. Not to be given up before the database is closed:
+    /// with any of its descriptors a process loses SQLite's locks.
+    fn lock_database(&mut self, folder: &Path) -> anyhow::Result<()> {
+        if self._database.is_none() {
+            let path = folder.join(DATABASE_FILE);
+            let file = File::open(&path).with_context(|| format!("cannot open {}", path.display()))?;
+            lock(&file, &path)?;
+            self._database = Some(file);
+        }
+        Ok(())
+    }
+}
+
+fn lock(file: &File, path: &Path) -> anyhow::Result<()> {
     match file.try_lock() {
-        Ok(()) => Ok(file),
+        Ok(()) => Ok(()),
         Err(TryLockError::WouldBlock) => {
+            let folder = path.parent().unwrap_or(path);
             anyhow::bail!("another server uses the data in {}", folder.display())
         }
         Err(TryLockError::Error(error)) => {
@@ -257,7 +289,7 @@ pub async fn open_store_to_read(config: &Config) -> anyhow::Result<(Store, bool)
 /// # Errors
 /// If a server uses the database, or there is no room beside it to write it anew.
 pub async fn compact(config: &Config) -> anyhow::Result<[u64; 2]> {
-    let _lock = lock_folder(&config.data_dir)?;
+    let _lock = DataLock::take(&config.data_dir)?;
     // The limit is of what sessions may fill, and not of the copy that is made meanwhile.
     let path = config.data_dir.join(DATABASE_FILE);
     let store = Store::open(&path, StoreOptions::default())

@@ -305,11 +305,12 @@ impl Service {
         Ok(queue)
     }
 
-    /// Whether the database answers.
+    /// Whether the database answers, and what is saved lasts.
     ///
     /// # Errors
-    /// If it does not.
+    /// Why not.
     pub async fn check_storage(&self) -> Result<(), ApiError> {
+        self.store.check_saving()?;
         self.store.list_sessions(None, 1).await?;
         Ok(())
     }

@@ -78,6 +78,19 @@ pub enum StoreError {
     /// Reading or writing the file failed. The last commit is intact.
     #[error("reading or writing the database failed")]
     Io(#[source] sqlx::Error),
+    /// The file, or its log, was deleted or replaced while it was open: what is written now is lost with this
+    /// process.
+    #[error(
+        "{path} was removed or replaced while the server uses it, so nothing more is saved: stop the server, put the \
+         database back or a backup in its place, and start it again"
+    )]
+    Gone {
+        /// The file.
+        path: String,
+    },
+    /// What was to be saved last could not be.
+    #[error("saving fails: {0}")]
+    Failing(String),
     /// Somebody else kept the database locked for longer than the time allowed.
     #[error("the database is in use by another program")]
     Busy(#[source] sqlx::Error),
@@ -99,6 +112,19 @@ pub enum StoreError {
 }
 
 impl StoreError {
+    /// Whether it says that nothing can be saved at present, rather than something about what was to be saved.
+    pub(crate) fn is_of_storage(&self) -> bool {
+        matches!(
+            self,
+            Self::DiskFull(_)
+                | Self::Io(_)
+                | Self::Busy(_)
+                | Self::Gone { .. }
+                | Self::Corrupt(_)
+                | Self::Database(_)
+        )
+    }
+
     /// Whether the database, or the folder that its log belongs in, cannot be written.
     pub fn is_unwritable(&self) -> bool {
         let error = match self {

@@ -66,6 +66,7 @@ mod number;
 mod observations;
 mod open;
 mod page;
+mod place;
 mod points;
 mod pose;
 mod primitives;

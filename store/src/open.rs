@@ -3,6 +3,7 @@
 use crate::StoreError;
 use crate::error::is_not_a_database;
 use crate::migrations::MIGRATIONS;
+use crate::place::Place;
 use sqlx::pool::PoolConnection;
 use sqlx::sqlite::{
     SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
@@ -60,6 +61,7 @@ pub struct Store {
     writer: SqlitePool,
     readers: SqlitePool,
     path: PathBuf,
+    place: Place,
 }
 
 /// A transaction on the writing connection.
@@ -69,15 +71,19 @@ pub struct Store {
 /// next writer gets a new connection.
 pub(crate) struct WriteTransaction {
     connection: PoolConnection<Sqlite>,
+    place: Place,
     is_committed: bool,
 }
 
 impl WriteTransaction {
     /// Makes what was written durable.
+    ///
+    /// # Errors
+    /// [`StoreError::Gone`] if it was written into a file that is no longer there.
     pub async fn commit(mut self) -> Result<(), StoreError> {
         sqlx::query("COMMIT").execute(&mut *self.connection).await?;
         self.is_committed = true;
-        Ok(())
+        self.place.check_commit()
     }
 }
 
@@ -151,7 +157,8 @@ impl Store {
             .max_connections(options.n_readers.max(1))
             .max_lifetime(None::<Duration>)
             .connect_lazy_with(reading(&path, &options));
-        Ok(Self { writer, readers, path })
+        let place = Place::of(&path);
+        Ok(Self { writer, readers, path, place })
     }
 
     /// Opens a database that cannot be written, such as a copy on a medium that is not to be changed, to read
@@ -172,7 +179,8 @@ impl Store {
         let pool = || {
             SqlitePoolOptions::new().max_connections(options.n_readers).connect_lazy_with(connection.clone())
         };
-        Ok(Self { writer: pool(), readers: pool(), path })
+        let place = Place::of(&path);
+        Ok(Self { writer: pool(), readers: pool(), path, place })
     }
 
     /// Gives the room of what was deleted back to the file system: the file is written anew without it, for
@@ -210,6 +218,10 @@ impl Store {
         checkpointed
     }
 
+    pub(crate) fn place(&self) -> &Place {
+        &self.place
+    }
+
     /// The database file.
     pub fn path(&self) -> &Path {
         &self.path
@@ -224,8 +236,11 @@ impl Store {
     /// cannot fail half-way for want of it.
     pub(crate) async fn begin_write(&self) -> Result<WriteTransaction, StoreError> {
         // Made before the statement runs, so that giving up in the middle of it closes the connection too.
-        let mut transaction =
-            WriteTransaction { connection: self.writer.acquire().await?, is_committed: false };
+        let mut transaction = WriteTransaction {
+            connection: self.writer.acquire().await?,
+            place: self.place.clone(),
+            is_committed: false,
+        };
         sqlx::query("BEGIN IMMEDIATE").execute(&mut *transaction).await?;
         Ok(transaction)
     }

@@ -71,6 +71,10 @@ async fn two_servers_cannot_share_a_database() {
         .err()
         .expect("the second server refuses to start");
     assert!(error.to_string().contains("another server"), "{error:#}");
+    // Somebody tidies up.
+    std::fs::remove_file(server.folder().join("monoslam.lock")).unwrap();
+    let error = Server::start(Config::local(server.folder())).await.err().expect("it is refused again");
+    assert!(error.to_string().contains("another server"), "{error:#}");
     let (outcome, folder) = server.shut_down().await;
     assert_eq!(outcome, Shutdown::Complete);
     let next = Server::start(Config::local(folder.path())).await.expect("the folder is free again");

@@ -98,3 +98,39 @@ async fn a_full_disk_ends_the_stream_with_a_clear_error_and_loses_nothing_that_w
     let problems = server.running().store().check().await.unwrap();
     assert!(problems.is_empty(), "{problems:?}");
 }
+
+#[tokio::test]
+async fn a_database_that_is_deleted_under_the_server_is_told_and_nothing_more_is_promised() {
+    let server = TestServer::start().await;
+    let mut client = server.client().await;
+    create_session(&mut client, "s", camera(160, 120)).await.unwrap();
+    let image = tests::raw_gray(160, 120, &[100; 160 * 120]);
+    let stream = FrameStream::open(&mut client, open_message("s")).await.unwrap();
+    let (promised, outcome) = stream_frames(stream, 0, &image).await;
+    outcome.unwrap();
+    assert_eq!(server.get("/readyz").await, "ready\n");
+
+    std::fs::remove_file(server.folder().join(server::DATABASE_FILE)).unwrap();
+    let stream = FrameStream::open(&mut client, open_message("s")).await.unwrap();
+    let (now_promised, outcome) = stream_frames(stream, N_PER_STREAM, &image).await;
+    let status = outcome.unwrap_err();
+    assert!(status.message().contains("removed or replaced"), "{status}");
+    assert_eq!(now_promised.max(promised), promised, "frames were promised that no file holds");
+    let ready = reqwest::get(format!("http://{}/readyz", server.running().http_addr)).await.unwrap();
+    assert_eq!(ready.status(), 503);
+    assert!(ready.text().await.unwrap().contains("removed or replaced"));
+    let health = async {
+        let address = format!("http://{}", server.running().grpc_addr);
+        let channel = tonic::transport::Channel::from_shared(address).unwrap().connect().await.unwrap();
+        let mut health = tonic_health::pb::health_client::HealthClient::new(channel);
+        let service = "monoslam.v1.SlamService".to_owned();
+        let asked = tonic_health::pb::HealthCheckRequest { service };
+        while health.check(asked.clone()).await.unwrap().into_inner().status != NOT_SERVING {
+            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+        }
+    };
+    tokio::time::timeout(std::time::Duration::from_secs(10), health).await.expect("health notices");
+}
+
+/// Of the health service's answers.
+const NOT_SERVING: i32 = 2;

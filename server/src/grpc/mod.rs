@@ -19,17 +19,22 @@ use proto::v1;
 use proto::v1::slam_service_server::{SlamService, SlamServiceServer};
 use std::pin::Pin;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt};
 use tokio_util::sync::CancellationToken;
 use tonic::codegen::http::{HeaderName, HeaderValue};
 use tonic::service::Routes;
 use tonic::{Request, Response, Status};
+use tonic_health::server::HealthReporter;
 use tower_http::set_header::SetResponseHeaderLayer;
 
 /// Every answer says on which port the same host serves HTTP, so that a client needs to know one address
 /// only.
 const HTTP_PORT_HEADER: HeaderName = HeaderName::from_static("x-monoslam-http-port");
+
+/// How often the health service learns whether what clients bring is saved.
+const HEALTH_EVERY: Duration = Duration::from_secs(1);
 
 /// The call whose client may pause in the middle of what it sends, and which the sessions end in a shutdown.
 const PATIENT: &[&str] = &["/monoslam.v1.SlamService/StreamFrames"];
@@ -43,14 +48,7 @@ pub(crate) async fn serve(
 ) -> anyhow::Result<()> {
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<SlamServiceServer<Handler>>().await;
-    let not_serving = {
-        let closing = closing.clone();
-        async move {
-            closing.cancelled().await;
-            reporter.set_not_serving::<SlamServiceServer<Handler>>().await;
-        }
-    };
-    tokio::spawn(not_serving);
+    tokio::spawn(report_health(service.clone(), reporter, closing.clone()));
     let door = Door { access: service.access().clone(), interface: Interface::Grpc };
     let router = routes(service)?
         .add_service(health)
@@ -62,6 +60,17 @@ pub(crate) async fn serve(
     let port = Port { listener, interface: Interface::Grpc, tls, table, patient_paths: PATIENT };
     connections::serve(port, router, closing).await;
     Ok(())
+}
+
+/// Says by the health service whether calls are taken and what they bring is saved, until `closing`.
+async fn report_health(service: Arc<Service>, reporter: HealthReporter, closing: CancellationToken) {
+    while tokio::time::timeout(HEALTH_EVERY, closing.cancelled()).await.is_err() {
+        match service.check_storage().await {
+            Ok(()) => reporter.set_serving::<SlamServiceServer<Handler>>().await,
+            Err(_unsaved) => reporter.set_not_serving::<SlamServiceServer<Handler>>().await,
+        }
+    }
+    reporter.set_not_serving::<SlamServiceServer<Handler>>().await;
 }
 
 /// The service with reflection, without a socket and without a door.

@@ -52,7 +52,20 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::DiskFull`], [`StoreError::Io`] and [`StoreError::Busy`] may pass; the others will not.
+    /// After [`StoreError::Gone`] the update is in a file that nobody will find again.
     pub async fn save_update(
+        &self,
+        session: &str,
+        update: &MapUpdate,
+        status: SessionStatus,
+        images: &[KeyframeImage],
+    ) -> Result<Committed, StoreError> {
+        let outcome = self.write_update(session, update, status, images).await;
+        self.place().note(&outcome);
+        outcome
+    }
+
+    async fn write_update(
         &self,
         session: &str,
         update: &MapUpdate,

@@ -46,6 +46,48 @@ async fn a_full_disk_leaves_the_last_commit_and_the_update_can_be_tried_again() 
     assert_eq!(store.check().await.unwrap(), []);
 }
 
+#[cfg(unix)]
+#[tokio::test]
+async fn what_goes_into_a_file_that_is_gone_is_not_called_saved() {
+    for lost in ["", "-wal"] {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store_with_session(folder.path()).await;
+        store.save_update("s", &first_update(&parts(44, SMALL)), TRACKED, &[]).await.unwrap();
+        store.check_saving().unwrap();
+        std::fs::remove_file(format!("{}{lost}", store.path().display())).unwrap();
+        let update = MapUpdate {
+            map: map(&parts(44, SMALL)),
+            changes: MapChanges::default(),
+            frames: vec![lost_frame(22)],
+        };
+        let error = store.save_update("s", &update, TRACKED, &[]).await.unwrap_err();
+        assert!(matches!(&error, StoreError::Gone { path } if path.ends_with(lost)), "{error:?}");
+        assert!(error.to_string().contains("removed or replaced"), "{error}");
+        assert!(store.check_saving().is_err());
+    }
+}
+
+#[tokio::test]
+async fn saving_that_fails_is_told_until_it_succeeds() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = store_with_session(folder.path()).await;
+    store.close().await.unwrap();
+    let n_bytes = std::fs::metadata(store.path()).unwrap().len();
+    let options = StoreOptions { max_bytes: Some(n_bytes), ..StoreOptions::default() };
+    let store = Store::open(store.path(), options).await.unwrap();
+    store.check_saving().unwrap();
+    store.save_update("s", &first_update(&bigger(45)), TRACKED, &[]).await.unwrap_err();
+    let error = store.check_saving().unwrap_err().to_string();
+    assert!(error.contains("saving fails") && error.contains("no room left"), "{error}");
+    let small = MapUpdate {
+        map: map(&parts(45, SMALL)),
+        changes: MapChanges::default(),
+        frames: vec![lost_frame(1)],
+    };
+    store.save_update("s", &small, TRACKED, &[]).await.unwrap();
+    store.check_saving().unwrap();
+}
+
 /// Copies the database as the end of the process would leave it.
 fn copy_as_if_killed(from: &Path, to: &Path) {
     for suffix in ["", "-wal"] {
