@@ -99,10 +99,7 @@ async fn what_is_wrong_is_said_in_a_sentence() {
     assert!(said.contains("ffmpeg: is not installed") && said.contains("apt install ffmpeg"), "{said}");
     let output = stage.stream(text(&video), "uncalibrated", &[]).output().await.unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(
-        said.contains("the calibration of room.mp4 is not known: it is found as the map grows"),
-        "{said}"
-    );
+    assert!(said.contains("room.mp4 is not known: it is found as the map grows"), "{said}");
     assert_eq!(summary(&output)["frames"], 4);
     fs::write(stage.path("text.mp4"), "no video").unwrap();
     let broken = stage.path("text.mp4");

@@ -3,7 +3,7 @@
 use std::io::Cursor;
 
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, LumaA, Rgb, Rgba};
-use jpeg_encoder::{ColorType, Encoder};
+use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 
 use super::*;
 use crate::test_images;
@@ -125,6 +125,34 @@ fn a_file_without_the_marker_of_its_end_is_whole() {
         let trailing = [&file[..], b"\0\0padding\xFF\xD8\xFF"].concat();
         assert_eq!(decode(&trailing).as_ref(), Ok(&whole), "{kind}");
     }
+}
+
+#[test]
+fn components_may_be_sampled_in_any_way() {
+    for factor in [
+        SamplingFactor::F_1_1,
+        SamplingFactor::F_2_1,
+        SamplingFactor::F_1_2,
+        SamplingFactor::F_2_2,
+        SamplingFactor::F_4_1,
+    ] {
+        let file = jpeg_of(&rgb(&scene()), ColorType::Rgb, |encoder| encoder.set_sampling_factor(factor));
+        let image = decode(&file).unwrap_or_else(|error| panic!("{factor:?}: {error}"));
+        assert!(difference(&image, &gray_of_rgb(&scene())) < 3.0, "{factor:?}");
+        assert!(decode(&file[..file.len() / 2]).is_err(), "{factor:?}");
+    }
+    for factor in [SamplingFactor::F_4_2, SamplingFactor::F_1_4, SamplingFactor::F_2_4] {
+        let file = jpeg_of(&rgb(&scene()), ColorType::Rgb, |encoder| encoder.set_sampling_factor(factor));
+        let refused = decode(&file).unwrap_err().to_string();
+        assert!(refused.contains("components sampled by"), "{refused}");
+    }
+    // As ffmpeg writes gray and full color: every component with a factor of 1 across and 2 down.
+    let file = include_bytes!("fixtures/equal_sampling.jpg");
+    let image = decode(file).unwrap();
+    assert_eq!((image.width(), image.height()), (176, 144));
+    // What is missing would be gray.
+    let (darkest, brightest) = (image.row(143).iter().min(), image.row(143).iter().max());
+    assert!(darkest < Some(&30) && brightest > Some(&200), "{darkest:?} {brightest:?}");
 }
 
 #[test]

@@ -29,7 +29,7 @@ const NO_TRANSFORM: [u8; 16] = *b"\xFF\xEE\0\x0EAdobe\0\x64\0\0\0\0\0";
 
 /// What stands between the last scan and the end when a file is decoded: a code of ones alone, which no table
 /// has [ITU T.81, annex C]. Where everything is there it is not read, and where something is missing it is an
-/// error; the decoder itself goes on with zeros for ever.
+/// error; the decoder itself goes on with zeros for ever. One kind of frame has to do without.
 const NO_CODE: [u8; 64] = {
     let mut bytes = [0; 64];
     let mut i = 0;
@@ -64,7 +64,10 @@ pub(super) fn decode(data: &[u8], limits: &DecodeLimits) -> Result<GrayImage, De
 /// Decodes a file of which something may be missing, or finds out what is wrong with it.
 fn decode_with_care(data: &[u8], colors: Colors, limits: &DecodeLimits) -> Result<GrayImage, DecodeError> {
     let structure = Structure::of(data);
-    if structure.end == End::CutOff || !structure.has_every_scan() {
+    let reads_on = structure.frame.as_ref().is_some_and(Frame::is_read_beyond_its_end);
+    // Where the decoder does not notice, the marker has to be there.
+    let is_open = reads_on && structure.end != End::Marked;
+    if structure.end == End::CutOff || is_open || !structure.has_every_scan() {
         return Err(TRUNCATED);
     }
     let error = match pixels(&ended(data, structure.end_at, &structure, colors), colors, limits) {
@@ -85,7 +88,9 @@ fn ended(data: &[u8], end_at: usize, structure: &Structure, colors: Colors) -> V
     let (begin, rest) = data[..end_at].split_at(2);
     // Half of a marker, or fill bytes before one.
     let n_kept = rest.len() - rest.iter().rev().take_while(|byte| **byte == 0xFF).count();
-    [begin, tables, adobe, &rest[..n_kept], &NO_CODE, &END_OF_IMAGE].concat()
+    let reads_on = structure.frame.as_ref().is_some_and(Frame::is_read_beyond_its_end);
+    let no_code: &[u8] = if reads_on { &[] } else { &NO_CODE };
+    [begin, tables, adobe, &rest[..n_kept], no_code, &END_OF_IMAGE].concat()
 }
 
 const TRUNCATED: DecodeError = DecodeError::Truncated { format: FORMAT };
@@ -117,6 +122,9 @@ fn refuse_other_kinds(frame: &Frame) -> Result<(), DecodeError> {
         let reason = format!("{what} is not read; save it as baseline or progressive JPEG, or as PNG");
         Err(DecodeError::Malformed { format: FORMAT, reason })
     };
+    if let Some((across, down)) = frame.misread_sampling() {
+        return refused(&format!("JPEG with components sampled by {across} x {down}"));
+    }
     match frame.kind {
         0xC3 | 0xC7 | 0xCB | 0xCF => refused("lossless JPEG compression"),
         0xC9..=0xCF => refused("arithmetic coding"),

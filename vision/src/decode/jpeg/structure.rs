@@ -49,6 +49,29 @@ pub(super) struct Frame {
     pub height: u16,
     /// Names of the components.
     pub components: Vec<u8>,
+    /// Their sampling factors, across in the upper four bits and down in the lower.
+    pub sampling: Vec<u8>,
+}
+
+impl Frame {
+    /// Whether the decoder reads more blocks than there are, to no harm: some components have twice as many
+    /// rows as others and all the same columns, or all have the same factors and these are not one. `ffmpeg`
+    /// writes gray and full color so.
+    pub fn is_read_beyond_its_end(&self) -> bool {
+        let is_narrow = self.sampling.iter().all(|factors| factors >> 4 == 1);
+        let is_tall = self.sampling.iter().any(|factors| *factors == 0x12);
+        let first = self.sampling.first().copied().unwrap_or(0x11);
+        let is_alike = first != 0x11 && self.sampling.iter().all(|factors| *factors == first);
+        self.sampling.len() > 1 && (is_narrow && is_tall || is_alike)
+    }
+
+    /// Factors, across and down, that the decoder takes for others.
+    pub fn misread_sampling(&self) -> Option<(u8, u8)> {
+        let factors = self.sampling.iter().map(|factors| (factors >> 4, factors & 0xF));
+        factors
+            .filter(|_| self.sampling.len() > 1)
+            .find(|(across, down)| *down > 2 || *across > 2 && *down > 1)
+    }
 }
 
 const N_COEFFICIENTS: usize = 64;
@@ -121,11 +144,13 @@ impl Structure {
             (SOS, _) => self.note_scan(segment),
             (DAC | JPG, _) => {}
             (0xC0..=0xCF, [n_bits, h0, h1, w0, w1, n, components @ ..]) if self.frame.is_none() => {
-                let components: Vec<u8> =
-                    components.chunks_exact(3).take(usize::from(*n)).map(|component| component[0]).collect();
+                let described = || components.chunks_exact(3).take(usize::from(*n));
+                let sampling = described().map(|component| component[1]).collect();
+                let components: Vec<u8> = described().map(|component| component[0]).collect();
                 self.precision = vec![[NOTHING; N_COEFFICIENTS]; components.len()];
                 let (height, width) = (u16::from_be_bytes([*h0, *h1]), u16::from_be_bytes([*w0, *w1]));
-                self.frame = Some(Frame { kind: marker, n_bits: *n_bits, width, height, components });
+                self.frame =
+                    Some(Frame { kind: marker, n_bits: *n_bits, width, height, components, sampling });
             }
             _ => {}
         }
