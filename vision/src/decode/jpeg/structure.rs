@@ -59,7 +59,7 @@ impl Frame {
     /// writes gray and full color so.
     pub fn is_read_beyond_its_end(&self) -> bool {
         let is_narrow = self.sampling.iter().all(|factors| factors >> 4 == 1);
-        let is_tall = self.sampling.iter().any(|factors| *factors == 0x12);
+        let is_tall = self.sampling.contains(&0x12);
         let first = self.sampling.first().copied().unwrap_or(0x11);
         let is_alike = first != 0x11 && self.sampling.iter().all(|factors| *factors == first);
         self.sampling.len() > 1 && (is_narrow && is_tall || is_alike)
