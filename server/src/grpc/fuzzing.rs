@@ -10,7 +10,7 @@ use crate::session::decode_image;
 use prost::Message as _;
 use proto::v1;
 use proto::v1::stream_frames_request::Message;
-use vision::decode::DecodeLimits;
+use vision::decode::{DecodeLimits, SampleDepth};
 
 /// Small enough that a run is quick.
 const LIMITS: DecodeLimits =
@@ -71,7 +71,7 @@ fn list_sessions(request: v1::ListSessionsRequest) -> Result<(), ApiError> {
 
 /// The decoder's panics, which the server survives, are found here too.
 fn decode(image: &crate::session::SentImage) {
-    if let Err(refusal) = decode_image(image, &LIMITS) {
+    if let Err(refusal) = decode_image(image, &LIMITS, &mut SampleDepth::default()) {
         assert!(!refusal.reason.is_empty());
         assert_ne!(refusal.code, "DECODER_FAILED");
     }
