@@ -114,14 +114,10 @@ pub enum StoreError {
 impl StoreError {
     /// Whether it says that nothing can be saved at present, rather than something about what was to be saved.
     pub(crate) fn is_of_storage(&self) -> bool {
+        // What one session has damaged is not the others' concern.
         matches!(
             self,
-            Self::DiskFull(_)
-                | Self::Io(_)
-                | Self::Busy(_)
-                | Self::Gone { .. }
-                | Self::Corrupt(_)
-                | Self::Database(_)
+            Self::DiskFull(_) | Self::Io(_) | Self::Busy(_) | Self::Gone { .. } | Self::Database(_)
         )
     }
 

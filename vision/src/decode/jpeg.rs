@@ -54,7 +54,7 @@ pub(super) fn decode(data: &[u8], limits: &DecodeLimits) -> Result<GrayImage, De
     if frame.kind != PROGRESSIVE
         && head.is_in_one_scan
         && let Some(end_at) = data.windows(2).rposition(|marker| marker == END_OF_IMAGE)
-        && let Ok(image) = pixels(&ended(data, end_at, &head, colors), colors, limits)
+        && let Ok(image) = pixels(&ended(data, end_at, &head, colors), reads_on(&head), colors, limits)
     {
         return Ok(image);
     }
@@ -64,18 +64,18 @@ pub(super) fn decode(data: &[u8], limits: &DecodeLimits) -> Result<GrayImage, De
 /// Decodes a file of which something may be missing, or finds out what is wrong with it.
 fn decode_with_care(data: &[u8], colors: Colors, limits: &DecodeLimits) -> Result<GrayImage, DecodeError> {
     let structure = Structure::of(data);
-    let reads_on = structure.frame.as_ref().is_some_and(Frame::is_read_beyond_its_end);
+    let reads_on = reads_on(&structure);
     // Where the decoder does not notice, the marker has to be there.
     let is_open = reads_on && structure.end != End::Marked;
     if structure.end == End::CutOff || is_open || !structure.has_every_scan() {
         return Err(TRUNCATED);
     }
-    let error = match pixels(&ended(data, structure.end_at, &structure, colors), colors, limits) {
+    let error = match pixels(&ended(data, structure.end_at, &structure, colors), reads_on, colors, limits) {
         Ok(image) => return Ok(image),
         Err(error) => error,
     };
     // An end may have been put on what was cut off.
-    let is_cut_off = structure.end != End::Marked || pixels(data, colors, limits).is_ok();
+    let is_cut_off = structure.end != End::Marked || pixels(data, reads_on, colors, limits).is_ok();
     Err(if is_cut_off { TRUNCATED } else { error })
 }
 
@@ -88,9 +88,13 @@ fn ended(data: &[u8], end_at: usize, structure: &Structure, colors: Colors) -> V
     let (begin, rest) = data[..end_at].split_at(2);
     // Half of a marker, or fill bytes before one.
     let n_kept = rest.len() - rest.iter().rev().take_while(|byte| **byte == 0xFF).count();
-    let reads_on = structure.frame.as_ref().is_some_and(Frame::is_read_beyond_its_end);
-    let no_code: &[u8] = if reads_on { &[] } else { &NO_CODE };
+    let no_code: &[u8] = if reads_on(structure) { &[] } else { &NO_CODE };
     [begin, tables, adobe, &rest[..n_kept], no_code, &END_OF_IMAGE].concat()
+}
+
+/// Whether the decoder reads more blocks than there are.
+fn reads_on(structure: &Structure) -> bool {
+    structure.frame.as_ref().is_some_and(Frame::is_read_beyond_its_end)
 }
 
 const TRUNCATED: DecodeError = DecodeError::Truncated { format: FORMAT };
@@ -135,9 +139,14 @@ fn refuse_other_kinds(frame: &Frame) -> Result<(), DecodeError> {
     }
 }
 
-fn pixels(data: &[u8], colors: Colors, limits: &DecodeLimits) -> Result<GrayImage, DecodeError> {
-    // Strictly, so that a scan that ends early is an error and no gray area.
-    match unpack(data, colors, limits, true) {
+fn pixels(
+    data: &[u8],
+    reads_on: bool,
+    colors: Colors,
+    limits: &DecodeLimits,
+) -> Result<GrayImage, DecodeError> {
+    // Strictly, so that a scan that ends early is an error and no gray area; but for what comes after the end.
+    match unpack(data, colors, limits, !reads_on) {
         Err(Refused::ByStrictness) => unpack(data, colors, limits, false),
         outcome => outcome,
     }
