@@ -112,7 +112,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Whether it says that nothing can be saved at present, rather than something about what was to be saved.
+    /// Whether it says that nothing can be saved at present, not something about what was to be saved.
     pub(crate) fn is_of_storage(&self) -> bool {
         // What one session has damaged is not the others' concern.
         matches!(

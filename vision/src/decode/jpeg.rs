@@ -145,7 +145,7 @@ fn pixels(
     colors: Colors,
     limits: &DecodeLimits,
 ) -> Result<GrayImage, DecodeError> {
-    // Strictly, so that a scan that ends early is an error and no gray area; but for what comes after the end.
+    // Strictly, so that a scan that ends early is an error and no gray area; but not beyond the end.
     match unpack(data, colors, limits, !reads_on) {
         Err(Refused::ByStrictness) => unpack(data, colors, limits, false),
         outcome => outcome,
