@@ -2,8 +2,10 @@
 //!
 //! [`check`] stands before every route and every call. It finds out who asks ([`Caller`]), whether that
 //! allows what is asked ([`rules`]), and how often it was asked lately. What a caller may *see* is decided by
-//! names: a [`SessionId`](crate::session::SessionId) is made by [`Caller::session`] alone, which leads to no session but those of the
+//! names: a [`SessionId`] is made by [`Caller::session`] alone, which leads to no session but those of the
 //! caller's owner, so that another's session is not found in the same way as one that does not exist.
+//!
+//! [`SessionId`]: crate::session::SessionId
 
 mod audit;
 mod caller;
