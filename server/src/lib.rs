@@ -39,7 +39,7 @@ pub use clock::SystemClock;
 pub use config::{Config, ConfigArgs, Limits, LogFormat, SessionConfig};
 pub use error::{ApiError, ErrorCode, FieldViolation};
 pub use model::{Camera, Model, Pose, Scale, State, Units};
-pub use options::{SessionOptions, camera_warnings};
+pub use options::{SessionOptions, camera_warnings, is_of_size_alone};
 pub use page::{DEFAULT_PAGE_SIZE, MAX_PAGE_SIZE, Page, PageRequest};
 pub use quick_share::QuickShare;
 pub use rest::viewer_file;

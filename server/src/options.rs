@@ -134,14 +134,18 @@ impl SessionOptions {
     }
 }
 
+/// Whether a camera is given by the size of its images alone, its other numbers being zero.
+pub fn is_of_size_alone(camera: &CameraParameters) -> bool {
+    [camera.fx, camera.fy, camera.cx, camera.cy].iter().all(|value| *value == 0.0)
+}
+
 /// The camera that a session begins with, and its options: one that is given by its size alone, or of which
 /// no more is to be believed, is guessed, and found as the map grows.
 pub fn camera_to_begin_with(
     camera: CameraParameters,
     options: SessionOptions,
 ) -> (CameraParameters, SessionOptions) {
-    let is_size_alone = [camera.fx, camera.fy, camera.cx, camera.cy].iter().all(|value| *value == 0.0);
-    let calibration = options.calibration.or(is_size_alone.then_some(Calibration::Unknown));
+    let calibration = options.calibration.or(is_of_size_alone(&camera).then_some(Calibration::Unknown));
     let options = SessionOptions { calibration, ..options };
     if calibration != Some(Calibration::Unknown) {
         return (camera, options);

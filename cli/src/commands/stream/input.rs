@@ -103,8 +103,11 @@ impl Input {
 /// Opens what the arguments name. `fps` is the rate of images that come without times.
 pub fn open(args: &InputArgs, fps: Option<f64>) -> Result<Input> {
     let input = open_any(args, fps)?;
-    let warnings =
-        if is_of_size_alone(&input.camera) { Vec::new() } else { server::camera_warnings(&input.camera) };
+    let warnings = if server::is_of_size_alone(&input.camera) {
+        Vec::new()
+    } else {
+        server::camera_warnings(&input.camera)
+    };
     for warning in warnings {
         eprintln!("{}: {warning}", input.name);
     }
@@ -314,10 +317,6 @@ fn from_file(file: &Path) -> Result<(CameraParameters, String)> {
 fn of_size(width: u32, height: u32) -> CameraParameters {
     let (model, distortion) = (CameraModel::Pinhole, Vec::new());
     CameraParameters { model, width, height, fx: 0.0, fy: 0.0, cx: 0.0, cy: 0.0, distortion }
-}
-
-fn is_of_size_alone(camera: &CameraParameters) -> bool {
-    [camera.fx, camera.fy, camera.cx, camera.cy].iter().all(|value| *value == 0.0)
 }
 
 fn from_field_of_view(fov_deg: f64, width: u32, height: u32) -> CameraParameters {
