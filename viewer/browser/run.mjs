@@ -58,6 +58,9 @@ async function picture(page, name) {
 const figure = (page, name) =>
   page.evaluate((wanted) => [...document.querySelectorAll('dt')].find((term) => term.textContent === wanted)?.nextElementSibling?.textContent, name);
 const number = async (page, name) => Number((await figure(page, name))?.replace(/\D/g, '') || 0);
+/** Waits until a figure has this value: figures are drawn with the next refresh of the screen. */
+const becomes = (page, name, value) =>
+  page.waitForFunction(([name, value]) => [...document.querySelectorAll('dt')].find((term) => term.textContent === name)?.nextElementSibling.textContent.replace(/\D/g, '') === value, [name, String(value)], { timeout: 20_000 });
 
 async function emptyAndAway(browser) {
   const server = await emptyServer();
@@ -112,7 +115,7 @@ async function whole(page, url) {
     await new Promise((resolve) => setTimeout(resolve, 1000));
     session = await (await fetch(`${url}/v1/sessions/${page.url().split('/s/')[1].split('?')[0]}`)).json();
   } while ((session.has_writer || session.n_frames < FRAMES) && Date.now() < deadline);
-  await page.waitForFunction((n) => [...document.querySelectorAll('dt')].find((term) => term.textContent === 'Points')?.nextElementSibling.textContent.replace(/\D/g, '') === String(n), session.n_points, { timeout: 20_000 });
+  await becomes(page, 'Points', session.n_points);
   assert.equal(await number(page, 'Frames'), session.n_frames);
   assert.equal(await number(page, 'Keyframes'), session.n_keyframes);
   assert.equal(await number(page, 'Lines'), session.n_lines);
@@ -219,7 +222,7 @@ async function report(browser, grpc, session) {
       page.on('request', (request) => /^(file|data|blob):/.test(request.url()) || asked.push(request.url()));
       await page.goto(pathToFileURL(file).href);
       await page.waitForFunction(() => document.querySelector('.waiting')?.hidden);
-      assert.equal(await number(page, 'Points'), session.n_points);
+      await becomes(page, 'Points', session.n_points);
       const pictures = () => [...document.querySelectorAll('figure img, .keyframes img')].map((image) => image.complete && image.naturalWidth > 0);
       await page.waitForFunction(`(${pictures})().every(Boolean)`);
       assert.ok((await page.evaluate(pictures)).length >= 8, 'plots and keyframes');
