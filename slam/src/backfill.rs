@@ -10,6 +10,7 @@ use crate::config::{InitializationConfig, SlamConfig};
 use crate::features::View;
 use crate::map::{FramePose, FrameRecord, FrameState, Map, median_depth};
 use crate::report::TrackingOutcome;
+use crate::rolling_shutter::RollingShutter;
 use crate::tracking::Tracker;
 use crate::tracking::frame::TrackedFrame;
 use std::collections::VecDeque;
@@ -22,6 +23,7 @@ const MAX_FAILURES: usize = 5;
 /// Frames that may still get a pose, or a better one.
 pub(crate) struct Backfill {
     config: SlamConfig,
+    rolling_shutter: Option<RollingShutter>,
     /// Frames since the camera was last followed, oldest first.
     waiting: VecDeque<Waiting>,
     /// Where the way back begins, until the map is good enough.
@@ -82,9 +84,10 @@ struct Gap {
 }
 
 impl Backfill {
-    pub fn new(config: SlamConfig) -> Self {
+    pub fn new(config: SlamConfig, rolling_shutter: Option<RollingShutter>) -> Self {
         Self {
             config,
+            rolling_shutter,
             waiting: VecDeque::new(),
             start: None,
             last: None,
@@ -107,6 +110,11 @@ impl Backfill {
             self.waiting.pop_front();
         }
         self.waiting.push_back(Waiting { view: view.clone(), n_inliers });
+    }
+
+    fn way(&self, start: Anchor, views: Vec<Waiting>, rest: Rest) -> Way {
+        let tracker = Tracker::follower(self.config.clone(), self.rolling_shutter.clone());
+        Way { tracker, views, missed: Vec::new(), reached: start, n_failures: 0, rest }
     }
 
     /// Notes that a frame was placed: the frames kept until now can be reached from it.
@@ -172,14 +180,14 @@ impl Backfill {
         let start = self.start.take()?;
         let views = std::mem::take(&mut self.waiting).into();
         let rest = Rest::Gap(self.lost_at.take().map(Box::new));
-        Some(Way::new(start, views, rest, &self.config))
+        Some(self.way(start, views, rest))
     }
 
     /// From the later side of a gap whose sides have come into one frame of reference.
     fn way_into_gap(&mut self, map: &Map) -> Option<Way> {
         let bridged = self.gaps.iter().position(|gap| gap.is_bridged(map))?;
         let Gap { before, after, views } = self.gaps.remove(bridged)?;
-        Some(Way::new(after, views, Rest::Forward(Box::new(before)), &self.config))
+        Some(self.way(after, views, Rest::Forward(Box::new(before))))
     }
 
     /// Sees to the frames that a way has not reached.
@@ -200,7 +208,7 @@ impl Backfill {
                 }
             }
             Rest::Forward(before) => {
-                self.way = Some(Way::new(*before, left, Rest::Nothing, &self.config));
+                self.way = Some(self.way(*before, left, Rest::Nothing));
             }
             Rest::Gap(_) | Rest::Nothing => {}
         }
@@ -228,11 +236,6 @@ impl Gap {
 }
 
 impl Way {
-    fn new(start: Anchor, views: Vec<Waiting>, rest: Rest, config: &SlamConfig) -> Self {
-        let tracker = Tracker::follower(config.clone());
-        Self { tracker, views, missed: Vec::new(), reached: start, n_failures: 0, rest }
-    }
-
     /// Whether it leads back from the present, rather than into a gap.
     fn is_back(&self) -> bool {
         matches!(self.rest, Rest::Gap(_))

@@ -120,6 +120,25 @@ struct NominalPlaces {
     bounds: GridBounds,
 }
 
+impl NominalPlaces {
+    /// These places as far elsewhere as the corrected ones are.
+    fn moved(&self, before: &FrameFeatures, after: &FrameFeatures) -> Self {
+        let points = self.points.iter().zip(before.undistorted.iter().zip(&after.undistorted));
+        let lines = self.lines.iter().zip(before.lines.iter().zip(&after.lines));
+        Self {
+            points: points.map(|(place, (before, after))| place + (after - before)).collect(),
+            lines: lines
+                .map(|(line, (before, after))| LineFeature {
+                    start: line.start + (after.start - before.start),
+                    end: line.end + (after.end - before.end),
+                    ..*line
+                })
+                .collect(),
+            bounds: self.bounds,
+        }
+    }
+}
+
 impl FrameFeatures {
     /// Takes over what the extractor found, leaving out keypoints where the lens model has no inverse.
     pub(crate) fn from_extracted(extracted: Features, camera: &Camera, pyramid: PyramidGeometry) -> Self {
@@ -245,6 +264,42 @@ impl FrameFeatures {
         features.grid = index(&self.keypoints, &features.undistorted, features.bounds);
         features.nominal = correction.bends().then_some(nominal);
         features
+    }
+
+    /// The same features elsewhere: keypoints where `point` puts them, ends of lines where `end` does, which is
+    /// told where the calibration alone has them as well. Where keypoints were detected stays.
+    #[must_use]
+    pub(crate) fn moved(
+        &self,
+        point: impl Fn(usize, &Vector2<f64>) -> Vector2<f64>,
+        end: impl Fn(&Vector2<f64>, &Vector2<f64>) -> Vector2<f64>,
+    ) -> Self {
+        let mut moved = self.clone();
+        moved.undistorted = self.undistorted.iter().enumerate().map(|(i, place)| point(i, place)).collect();
+        let lines = self.lines.iter().zip(self.nominal_lines());
+        moved.lines = lines
+            .map(|(line, nominal)| LineFeature {
+                start: end(&line.start, &nominal.start),
+                end: end(&line.end, &nominal.end),
+                ..*line
+            })
+            .collect();
+        moved.grid = index(&moved.keypoints, &moved.undistorted, moved.bounds);
+        moved.nominal = self.nominal.as_ref().map(|nominal| Arc::new(nominal.moved(self, &moved)));
+        moved
+    }
+
+    /// The same features as if keypoints had been detected where they are now, as they are once they were
+    /// stored. `None` if the lens shows one of them nowhere.
+    pub(crate) fn settled(&self, working_camera: &Camera) -> Option<Self> {
+        let nominal_camera = working_camera.with_correction(CameraCorrection::default());
+        let settle = |(feature_idx, keypoint): (usize, &Keypoint)| {
+            let pixel = nominal_camera.distort(&self.nominal_px(feature_idx))?;
+            Some(Keypoint { x: pixel.x as f32, y: pixel.y as f32, ..*keypoint })
+        };
+        let keypoints = self.keypoints.iter().enumerate().map(settle).collect::<Option<Vec<_>>>()?;
+        let settled = Self::from_parts(keypoints, self.descriptors.clone(), &nominal_camera, self.pyramid)?;
+        Some(settled.with_lines(self.nominal_lines().to_vec()).with_correction(&self.correction))
     }
 
     /// The plane through the camera in which the line of a segment lies.

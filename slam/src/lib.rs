@@ -63,6 +63,7 @@ mod matching;
 mod parallel;
 pub mod pipeline;
 pub mod report;
+mod rolling_shutter;
 mod submaps;
 #[cfg(test)]
 mod test_fixtures;
@@ -74,7 +75,7 @@ pub use clock::{Clock, NoClock};
 pub use config::{
     AlignmentConfig, CalibrationConfig, CalibrationTrust, ConfigError, ContinuityConfig, FeatureSwitches,
     InitializationConfig, KeyframeConfig, LineConfig, LoopConfig, MappingConfig, PrimitiveConfig,
-    RelocalizationConfig, SlamConfig, SubmapConfig, Threading, TrackingConfig,
+    RelocalizationConfig, RollingShutterConfig, SlamConfig, SubmapConfig, Threading, TrackingConfig,
 };
 pub use input::{Frame, FrameError, ResumeError, ResumeState};
 pub use loops::{KeyframeTies, essential_edges};

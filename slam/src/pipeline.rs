@@ -14,6 +14,7 @@ use crate::map::{FramePose, FrameRecord, KeyframeId, Map};
 use crate::mapping::stage::MappingStage;
 use crate::mapping::{InitialMap, NewKeyframe};
 use crate::report::{FrameReport, InitializationWait, LostReason, TrackingOutcome};
+use crate::rolling_shutter::RollingShutter;
 use crate::submaps::{Abandoned, SubmapPolicy};
 use crate::tracking::frame::TrackedFrame;
 use crate::tracking::judgement::is_certain_enough;
@@ -49,6 +50,8 @@ pub struct Pipeline {
     last_view: Option<View>,
     mapping_enabled: bool,
     lossless: bool,
+    /// Absent where all rows of an image are read at once.
+    rolling_shutter: Option<RollingShutter>,
 }
 
 impl Pipeline {
@@ -212,7 +215,8 @@ impl Pipeline {
         }
         self.tracker.forget();
         self.submaps.begin_next();
-        self.initializer = Some(Initializer::new(&self.config, self.map.n_keyframes() == 0));
+        let (is_first, shutter) = (self.map.n_keyframes() == 0, self.rolling_shutter.clone());
+        self.initializer = Some(Initializer::new(&self.config, is_first, shutter));
         self.choose_n_features();
     }
 
@@ -261,13 +265,20 @@ impl Pipeline {
         self.trajectory.replace(FrameRecord { pose: Some(pose), ..result.record(view, &self.map) });
         let new = NewKeyframe {
             place,
-            keyframe: frame.to_keyframe(id, Some(frame.reference)),
+            keyframe: self.settled(frame).to_keyframe(id, Some(frame.reference)),
             visibility: self.tracker.take_visibility_counts(),
             frames: self.trajectory.take(),
         };
         self.mapping.add_keyframe(new, !self.lossless);
         self.tracker.became_keyframe(frame);
         true
+    }
+
+    /// The frame as it will be once it was stored.
+    fn settled(&self, frame: &TrackedFrame) -> TrackedFrame {
+        let settled = self.rolling_shutter.as_ref().and_then(|shutter| shutter.settle(&frame.features));
+        let features = settled.map_or_else(|| frame.features.clone(), Arc::new);
+        TrackedFrame { features, ..frame.clone() }
     }
 
     /// Keeps a frame that has no pose for later, and places one of those kept before.

@@ -238,7 +238,7 @@ fn preset_parts(preset: Preset, seed: u64) -> (WorldConfig, PathKind, MotionLimi
 /// One frame with its truth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SyntheticFrame {
-    /// Time of the middle of the exposure.
+    /// Time of the middle of the exposure, of the middle row with a rolling shutter.
     pub timestamp_ns: i64,
     /// What the camera saw.
     pub image: GrayImage,
@@ -320,14 +320,23 @@ impl Sequence {
     /// Renders frame `i`.
     pub fn frame(&self, i: usize) -> SyntheticFrame {
         let t_s = self.time_s(i);
-        let RenderOptions { shutter_s, blur_samples, .. } = self.config.render;
+        let RenderOptions { shutter_s, blur_samples, readout_s, .. } = self.config.render;
         let n = blur_samples.max(1);
-        let poses: Vec<Pose> = (0..n)
-            .map(|k| self.path.camera_from_world(t_s + shutter_s * ((k as f64 + 0.5) / n as f64 - 0.5)))
-            .collect();
+        // In the middle of the image the row is exposed at the frame's time.
+        let exposure = |share: f64| -> Vec<Pose> {
+            let middle_s = t_s + share * readout_s;
+            let blur = |k| shutter_s * ((k as f64 + 0.5) / n as f64 - 0.5);
+            (0..n).map(|k| self.path.camera_from_world(middle_s + blur(k))).collect()
+        };
+        let noise_seed = mix(self.config.seed, i as u64);
+        let image = if readout_s == 0.0 {
+            self.renderer.render(&exposure(0.0), t_s, noise_seed)
+        } else {
+            self.renderer.render_rolling(exposure, t_s, noise_seed)
+        };
         SyntheticFrame {
             timestamp_ns: self.timestamp_ns(i),
-            image: self.renderer.render(&poses, t_s, mix(self.config.seed, i as u64)),
+            image,
             camera_from_world: self.camera_from_world(i),
         }
     }

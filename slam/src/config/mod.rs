@@ -10,6 +10,7 @@ mod loops;
 mod mapping;
 mod primitives;
 mod relocalization;
+mod rolling_shutter;
 mod submaps;
 mod tracking;
 
@@ -23,6 +24,7 @@ pub use loops::LoopConfig;
 pub use mapping::MappingConfig;
 pub use primitives::PrimitiveConfig;
 pub use relocalization::RelocalizationConfig;
+pub use rolling_shutter::RollingShutterConfig;
 pub use submaps::SubmapConfig;
 pub use tracking::TrackingConfig;
 
@@ -102,6 +104,8 @@ pub struct SlamConfig {
     pub submaps: SubmapConfig,
     /// Self-calibration.
     pub calibration: CalibrationConfig,
+    /// Rolling shutter.
+    pub rolling_shutter: RollingShutterConfig,
 }
 
 impl Default for SlamConfig {
@@ -125,6 +129,7 @@ impl Default for SlamConfig {
             loops: LoopConfig::default(),
             submaps: SubmapConfig::default(),
             calibration: CalibrationConfig::default(),
+            rolling_shutter: RollingShutterConfig::default(),
         }
     }
 }

@@ -6,12 +6,14 @@ mod matching;
 mod motion;
 mod third_view;
 mod two_view;
+mod unrolling;
 
 use crate::bundle;
 use crate::config::{InitializationConfig, SlamConfig, Threading};
 use crate::features::View;
 use crate::parallel;
 use crate::report::InitializationWait;
+use crate::rolling_shutter::RollingShutter;
 use geometry::nalgebra::Vector3;
 use geometry::{CameraCorrection, Pose};
 use rand::{RngCore, SeedableRng};
@@ -47,12 +49,15 @@ pub(crate) struct Initializer {
     threading: Threading,
     /// Cameras to be tried in turn, view by view; none where the camera is known.
     hypotheses: Vec<CameraCorrection>,
+    /// Absent where all rows of an image are read at once.
+    rolling_shutter: Option<RollingShutter>,
 }
 
 impl Initializer {
     /// `is_first` says that there is no map yet, whose camera would be that of this one too.
-    pub fn new(config: &SlamConfig, is_first: bool) -> Self {
+    pub fn new(config: &SlamConfig, is_first: bool, rolling_shutter: Option<RollingShutter>) -> Self {
         Self {
+            rolling_shutter,
             hypotheses: if is_first { config.calibration.hypotheses() } else { Vec::new() },
             config: config.initialization.clone(),
             views: VecDeque::new(),
@@ -151,7 +156,10 @@ impl Initializer {
         let hypothesis = self.hypothesis();
         let [first, second] = &[first, second].map(|view| with_camera(view, hypothesis.as_ref()));
         let motion = two_view::solve(&first.features, &second.features, matches, &self.config, rng)?;
-        let (mut pair, direction_sigma_deg) = refine(first, second, matches, &motion);
+        let (mut pair, mut direction_sigma_deg) = refine(first, second, matches, &motion);
+        if let Some([first, second]) = self.unroll(&pair, rng) {
+            (pair, direction_sigma_deg) = refine(&first, &second, matches, &motion);
+        }
         let n_agreeing = pair.points.len();
         let required_deg = self.max_direction_sigma_deg();
         if direction_sigma_deg > required_deg {
@@ -162,6 +170,13 @@ impl Initializer {
         }
         pair.hypothesis = hypothesis;
         self.confirm(pair, rng)
+    }
+
+    fn unroll(&self, pair: &InitialPair, rng: &mut ChaCha8Rng) -> Option<[View; 2]> {
+        let shutter = self.rolling_shutter.as_ref()?;
+        let camera = self.hypothesis();
+        let views: Vec<View> = self.views.iter().map(|view| with_camera(view, camera.as_ref())).collect();
+        unrolling::unroll_pair(shutter, pair, &views, &self.config, rng)
     }
 
     /// The camera whose turn it is: a wrong one may still do for a map, but sees more motions as doubtful.

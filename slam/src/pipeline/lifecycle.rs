@@ -11,6 +11,7 @@ use crate::map::{Map, MapUpdate};
 use crate::mapping::Mapper;
 use crate::mapping::stage::MappingStage;
 use crate::report::{LineJudgement, ObservedFrame};
+use crate::rolling_shutter::RollingShutter;
 use crate::submaps::SubmapPolicy;
 use crate::tracking::Tracker;
 use crate::trajectory::TrajectoryLog;
@@ -51,7 +52,9 @@ impl Pipeline {
                 reason: format!("the mapping thread cannot be started: {error}"),
             })?,
         };
-        let mut tracker = Tracker::new(config.clone(), config.working_camera(&camera))?;
+        let working_camera = config.working_camera(&camera);
+        let rolling_shutter = RollingShutter::new(&working_camera, config.rolling_shutter.readout_ns);
+        let mut tracker = Tracker::new(config.clone(), working_camera, rolling_shutter.clone())?;
         tracker.sync_map(&map);
         let is_empty = map.n_keyframes() == 0;
         let mut pipeline = Self {
@@ -60,8 +63,8 @@ impl Pipeline {
             front_end,
             mapping,
             tracker,
-            initializer: is_empty.then(|| Initializer::new(&config, true)),
-            backfill: Backfill::new(config.clone()),
+            initializer: is_empty.then(|| Initializer::new(&config, true, rolling_shutter.clone())),
+            backfill: Backfill::new(config.clone(), rolling_shutter.clone()),
             submaps: SubmapPolicy::resume(config.submaps.clone(), &map),
             trajectory: TrajectoryLog::default(),
             next_keyframe_idx: map.last_ids().keyframe,
@@ -70,6 +73,7 @@ impl Pipeline {
             last_view: None,
             mapping_enabled: true,
             lossless: true,
+            rolling_shutter,
             config,
         };
         pipeline.choose_n_features();

@@ -13,12 +13,14 @@ mod recovery;
 pub(crate) mod relocalization;
 #[cfg(test)]
 mod tests;
+mod unrolling;
 
 use crate::config::{ConfigError, SlamConfig};
 use crate::features::View;
 use crate::landmarks::VisibilityCounts;
 use crate::map::{Map, SubmapId};
 use crate::report::{LostReason, TrackingOutcome};
+use crate::rolling_shutter::RollingShutter;
 use alignment::Aligner;
 use following::{LastFrame, PoseStart};
 use frame::{Inliers, TrackedFrame};
@@ -53,6 +55,8 @@ pub(crate) struct Tracker {
     local_map: LocalMap,
     line_tracks: LineTracks,
     primitive_tracks: PrimitiveTracks,
+    /// Absent where all rows are read at once.
+    rolling_shutter: Option<RollingShutter>,
     /// Absent where there are no images.
     aligner: Option<Aligner>,
     /// The image of the frame to be tracked.
@@ -77,16 +81,22 @@ impl Tracker {
     ///
     /// # Errors
     /// If the configuration of the search for vanishing points cannot be used.
-    pub fn new(config: SlamConfig, working_camera: Camera) -> Result<Self, ConfigError> {
+    pub fn new(
+        config: SlamConfig,
+        working_camera: Camera,
+        rolling_shutter: Option<RollingShutter>,
+    ) -> Result<Self, ConfigError> {
         let relocalizer = Relocalizer::new(&config)?;
         let aligner = Aligner::new(working_camera, config.alignment.clone());
-        Ok(Self { relocalizer: Some(relocalizer), aligner: Some(aligner), ..Self::follower(config) })
+        let follower = Self::follower(config, rolling_shutter);
+        Ok(Self { relocalizer: Some(relocalizer), aligner: Some(aligner), ..follower })
     }
 
     /// A tracker that only follows: once lost it stays lost.
-    pub fn follower(config: SlamConfig) -> Self {
+    pub fn follower(config: SlamConfig, rolling_shutter: Option<RollingShutter>) -> Self {
         Self {
             config,
+            rolling_shutter,
             local_map: LocalMap::default(),
             line_tracks: LineTracks::default(),
             primitive_tracks: PrimitiveTracks::default(),
@@ -175,7 +185,9 @@ impl Tracker {
             let reason = LostReason::TooFewFeatures { n_keypoints, n_segments, n_required };
             return self.lose(view.timestamp_ns, reason);
         }
-        if let Some(found) = self.follow_in_map(view, map) {
+        let unrolled = self.unroll_expected(view, map);
+        if let Some(mut found) = self.follow_in_map(unrolled.as_ref().unwrap_or(view), map) {
+            self.unroll_found(view, &mut found, map);
             let outcome =
                 judge(&found.placement, found.n_expected, self.is_coasting(), &self.config.tracking);
             return self.conclude(found.frame, found.placement.inliers, outcome, found.start, map);

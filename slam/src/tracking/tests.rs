@@ -26,7 +26,7 @@ fn map() -> Map {
 /// second, which was one unit from the first.
 fn expected_step(start: PoseStart, step: f64) -> f64 {
     let map = map();
-    let mut tracker = Tracker::follower(SlamConfig::default());
+    let mut tracker = Tracker::follower(SlamConfig::default(), None);
     let mut conclude = |frame, start| {
         tracker.conclude(frame, Inliers::default(), TrackingOutcome::Tracked, start, &map);
     };
@@ -48,7 +48,7 @@ fn the_way_across_a_cut_is_no_motion_that_goes_on() {
 #[test]
 fn a_frame_that_is_a_keyframe_is_passed_where_the_map_has_it() {
     let map = map();
-    let mut tracker = Tracker::follower(SlamConfig::default());
+    let mut tracker = Tracker::follower(SlamConfig::default(), None);
     tracker.start(frame(2, 1.0), &map);
     let keyframe = map.keyframes().next().expect("a keyframe");
     tracker.pass(TrackedFrame::of_keyframe(keyframe), &map);

@@ -27,6 +27,10 @@ use sensor::Sensor;
 use shading::shade_band;
 use visibility::FrameFaces;
 
+/// Rows of a rolling shutter that are rendered from one pose: at 60 degrees a second and a readout of 30 ms the
+/// next ones are a sixteenth of a pixel away.
+const ROWS_READ_AT_ONCE: usize = 2;
+
 /// A camera in a world. Textures are painted when they are first seen and kept.
 pub struct Renderer {
     world: Arc<World>,
@@ -68,16 +72,52 @@ impl Renderer {
     /// # Panics
     /// If there is no pose.
     pub fn render(&self, camera_from_world: &[Pose], t_s: f64, noise_seed: u64) -> GrayImage {
+        let mut radiance = self.blank();
+        self.add_exposure(camera_from_world, 0, &mut radiance);
+        self.sensed(&radiance, t_s, noise_seed)
+    }
+
+    /// The image of a rolling shutter: `camera_from_world` gives the poses that the camera takes while a row is
+    /// exposed, by when that row is read, as a share of the readout before (down to -0.5) or after (up to 0.5)
+    /// the middle row.
+    ///
+    /// # Panics
+    /// If there is no pose.
+    pub fn render_rolling(
+        &self,
+        camera_from_world: impl Fn(f64) -> Vec<Pose>,
+        t_s: f64,
+        noise_seed: u64,
+    ) -> GrayImage {
+        let (width, height) = (self.camera.width() as usize, f64::from(self.camera.height()));
+        let mut radiance = self.blank();
+        for (i, band) in radiance.chunks_mut(ROWS_READ_AT_ONCE * width).enumerate() {
+            let first_row = i * ROWS_READ_AT_ONCE;
+            let middle_row = first_row as f64 + (band.len() / width - 1) as f64 / 2.0;
+            self.add_exposure(&camera_from_world((middle_row + 0.5) / height - 0.5), first_row, band);
+        }
+        self.sensed(&radiance, t_s, noise_seed)
+    }
+
+    fn sensed(&self, radiance: &[f32], t_s: f64, noise_seed: u64) -> GrayImage {
+        let pixels = self.sensor.expose(radiance, self.options.exposure.gain(t_s), noise_seed);
+        GrayImage::new(self.camera.width(), self.camera.height(), pixels)
+    }
+
+    fn blank(&self) -> Vec<f32> {
+        vec![0.0; self.camera.width() as usize * self.camera.height() as usize]
+    }
+
+    /// Adds the mean of what the poses show in whole rows from `first_row` on.
+    fn add_exposure(&self, camera_from_world: &[Pose], first_row: usize, rows: &mut [f32]) {
         assert!(!camera_from_world.is_empty(), "an exposure needs a pose");
-        let mut radiance = self.radiance(&camera_from_world[0]);
-        for pose in &camera_from_world[1..] {
-            for (sum, value) in radiance.iter_mut().zip(self.radiance(pose)) {
-                *sum += value;
+        let share = 1.0 / camera_from_world.len() as f32;
+        for pose in camera_from_world {
+            let shown = self.radiance(pose, first_row, rows.len());
+            for (sum, value) in rows.iter_mut().zip(shown) {
+                *sum += share * value;
             }
         }
-        let gain = self.options.exposure.gain(t_s) / camera_from_world.len() as f64;
-        let pixels = self.sensor.expose(&radiance, gain, noise_seed);
-        GrayImage::new(self.camera.width(), self.camera.height(), pixels)
     }
 
     /// Gray level of the painted and lit surface at a hit, before the sensor, as a close view shows it.
@@ -88,20 +128,21 @@ impl Renderer {
         f64::from(self.texture(hit.surface).sample(&[u], &[v], &footprint)[0])
     }
 
-    /// Noise-free gray levels, row-major.
-    fn radiance(&self, camera_from_world: &Pose) -> Vec<f32> {
-        let (width, height) = (self.camera.width() as usize, self.camera.height() as usize);
+    /// Noise-free gray levels of so many pixels, row-major from `first_row` on.
+    fn radiance(&self, camera_from_world: &Pose, first_row: usize, n_pixels: usize) -> Vec<f32> {
+        let width = self.camera.width() as usize;
         let faces = FrameFaces::new(&self.world, camera_from_world, self.options.texel);
-        let mut pixels = vec![0.0; width * height];
-        if self.options.threads <= 1 {
-            shade_band(self, &faces, 0, &mut pixels);
+        let mut pixels = vec![0.0; n_pixels];
+        let n_rows = n_pixels / width;
+        if self.options.threads <= 1 || n_rows <= ROWS_READ_AT_ONCE {
+            shade_band(self, &faces, first_row, &mut pixels);
             return pixels;
         }
-        let rows_per_band = height.div_ceil(self.options.threads);
+        let rows_per_band = n_rows.div_ceil(self.options.threads);
         std::thread::scope(|scope| {
             for (i, band) in pixels.chunks_mut(rows_per_band * width).enumerate() {
                 let faces = &faces;
-                scope.spawn(move || shade_band(self, faces, i * rows_per_band, band));
+                scope.spawn(move || shade_band(self, faces, first_row + i * rows_per_band, band));
             }
         });
         pixels

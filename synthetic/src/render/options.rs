@@ -47,6 +47,9 @@ pub struct RenderOptions {
     pub shutter_s: f64,
     /// Images averaged over the shutter time. Default 1: no motion blur.
     pub blur_samples: usize,
+    /// Time from the first row's exposure to the last row's, in seconds: a rolling shutter, as phones and
+    /// webcams have, reads its rows one after the other. Default 0: a global shutter.
+    pub readout_s: f64,
     /// Share of light lost in the farthest corner of the image. Default 0.1.
     pub vignetting: f64,
     /// Side of a texel, in map units. Default 0.004: a pixel's footprint at 2 units distance.
@@ -62,6 +65,7 @@ impl Default for RenderOptions {
             exposure: ExposureCurve::Constant(1.0),
             shutter_s: 0.01,
             blur_samples: 1,
+            readout_s: 0.0,
             vignetting: 0.1,
             texel: 0.004,
             threads: 1,

@@ -2,6 +2,7 @@
 //!
 //! `cargo run --release -p testkit --bin track_folder -- DATASET OUT.txt [--inline] [--start N] [--end N]
 //! [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--no-calibration] [--unknown-camera]
+//! [--readout MS]
 //! [--approximate-camera] [--wide-calibration] [--verbose] [--states] [--log]`
 //!
 //! The dataset is a folder of a layout that `monoslam` reads, also looked for in the folder that
@@ -51,6 +52,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     config.calibration.wide = flag("--wide-calibration");
     if flag("--approximate-camera") {
         config.calibration.trust = CalibrationTrust::Approximate;
+    }
+    if let Some(ms) = arguments.value("--readout") {
+        config.rolling_shutter.readout_ns = (ms.parse::<f64>()? * 1e6) as i64;
     }
     if flag("--log") {
         tracing_subscriber::fmt().with_max_level(tracing::Level::DEBUG).with_ansi(false).init();

@@ -9,6 +9,8 @@
 //! | `--frames N` | only the first N |
 //! | `--every N` | shows it every N-th frame only |
 //! | `--backwards` | from the last frame to the first: an error that turns round with the walk is the data's |
+//! | `--readout MS` | a rolling shutter that reads the image in so many milliseconds |
+//! | `--told-readout MS` | the engine is told of another than that |
 //! | `--engine-seed N` | the engine's random numbers; otherwise the sequence's seed |
 //! | `--no-loops`, `--no-lines`, `--no-primitives` | switches features off |
 //! | `--no-calibration` | takes the calibration as it is given |
@@ -94,8 +96,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 fn segments_of(preset: Preset, seed: u64, arguments: &Arguments) -> Result<(), Box<dyn Error>> {
-    let folder = arguments.value("--images").map(Path::new);
-    let recording = Recording::new(preset, seed, folder, arguments.flag("--backwards"));
+    let recording = recorded(preset, seed, arguments)?;
     let n_frames = arguments.value("--frames").map_or(Ok(recording.len()), |n| n.parse())?;
     let mut detector = vision::lines::detector(SlamConfig::default().lines.detector)?;
     println!("\n{} {seed}\n", preset.name());
@@ -113,6 +114,20 @@ fn runs(
     let first = arguments.value("--engine-seed").map_or(Ok(seed), |seed| seed.parse())?;
     let rows = (0..n_runs.max(1)).map(|run| track(preset, seed, first + run, with_primitives, arguments));
     Ok(Row::median_of(rows.collect::<Result<_, _>>()?))
+}
+
+/// The sequence as it was asked for.
+fn recorded(preset: Preset, seed: u64, arguments: &Arguments) -> Result<Recording, Box<dyn Error>> {
+    let folder = arguments.value("--images").map(Path::new);
+    let readout_ms = arguments.value("--readout").map_or(Ok(0.0), |ms| ms.parse())?;
+    Recording::new(preset, seed, folder, arguments.flag("--backwards"), readout_ms)
+}
+
+/// The readout that the engine is told of, nanoseconds.
+fn told_readout_ns(arguments: &Arguments) -> Result<i64, Box<dyn Error>> {
+    let told = arguments.value("--told-readout").or_else(|| arguments.value("--readout"));
+    let ms: f64 = told.map_or(Ok(0.0), |ms| ms.parse())?;
+    Ok((ms * 1e6) as i64)
 }
 
 /// The camera as the engine is told of it.
@@ -134,14 +149,14 @@ fn track(
 ) -> Result<Row, Box<dyn Error>> {
     let flag = |name: &str| arguments.flag(name);
     let value = |name: &str| arguments.value(name);
-    let folder = value("--images").map(Path::new);
-    let recording = Recording::new(preset, seed, folder, flag("--backwards"));
+    let recording = recorded(preset, seed, arguments)?;
     let mut config = SlamConfig { seed: engine_seed, ..SlamConfig::default() };
     config.threading = if flag("--inline") { Threading::Inline } else { Threading::Background };
     config.features.loop_closing = !flag("--no-loops");
     config.features.refine_calibration = !flag("--no-calibration");
     config.features.lines = !flag("--no-lines");
     config.features.global_primitives = with_primitives;
+    config.rolling_shutter.readout_ns = told_readout_ns(arguments)?;
     let clock = Arc::new(WallClock::start());
     let mut camera = given_camera(recording.camera(), arguments)?;
     if flag("--unknown-camera") {

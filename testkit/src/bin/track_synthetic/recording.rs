@@ -4,7 +4,7 @@ use geometry::nalgebra::{Vector2, Vector3};
 use geometry::{Camera, Pose};
 use std::error::Error;
 use std::path::{Path, PathBuf};
-use synthetic::{Preset, Sequence, VisibleSegment, World};
+use synthetic::{Preset, Sequence, SequenceConfig, VisibleSegment, World};
 use testkit::gray_image;
 use testkit::laboratory::write_pose;
 use vision::GrayImage;
@@ -17,10 +17,19 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Images are kept in `folder`, in a folder of this preset and seed.
-    pub fn new(preset: Preset, seed: u64, folder: Option<&Path>, backwards: bool) -> Self {
-        let images = folder.map(|folder| folder.join(format!("{}-{seed}", preset.name())));
-        Self { sequence: Sequence::preset(preset, seed), images, backwards }
+    /// Images are kept in `folder`, in a folder of this preset, seed and readout.
+    pub fn new(
+        preset: Preset,
+        seed: u64,
+        folder: Option<&Path>,
+        backwards: bool,
+        readout_ms: f64,
+    ) -> Result<Self, Box<dyn Error>> {
+        let rolling = if readout_ms == 0.0 { String::new() } else { format!("-readout-{readout_ms}") };
+        let images = folder.map(|folder| folder.join(format!("{}-{seed}{rolling}", preset.name())));
+        let mut config = SequenceConfig::preset(preset, seed);
+        config.render.readout_s = readout_ms / 1e3;
+        Ok(Self { sequence: Sequence::new(config)?, images, backwards })
     }
 
     pub fn len(&self) -> usize {
