@@ -3,6 +3,7 @@
 //! Everything is read once, before a port opens, and checked by [`Config::validate`].
 
 use crate::network::{self, AccessConfig, ConnectionConfig, QuotaConfig, TlsConfig};
+use crate::storage::StorageConfig;
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -31,6 +32,8 @@ pub struct Config {
     pub limits: Limits,
     /// How sessions run.
     pub sessions: SessionConfig,
+    /// How the database is kept.
+    pub storage: StorageConfig,
     /// Who is let in.
     pub access: AccessConfig,
     /// Encryption.
@@ -146,6 +149,7 @@ impl Default for Config {
             shutdown_grace_s: 30.0,
             limits: Limits::default(),
             sessions: SessionConfig::default(),
+            storage: StorageConfig::default(),
             access: AccessConfig::default(),
             tls: TlsConfig::default(),
             connections: ConnectionConfig::default(),
@@ -302,6 +306,7 @@ impl Config {
             ensure!((1..=65_536).contains(&count), "{field} is {count} but must be 1 to 65536");
         }
         network::validate(&self.access, &self.tls, &self.connections, &self.quotas)?;
+        self.storage.validate()?;
         let bytes = self.limits.max_message_bytes;
         ensure!(bytes >= 1 << 16, "limits.max_message_bytes is {bytes} but must be at least 65536");
         Ok(())

@@ -48,6 +48,8 @@ pub enum ErrorCode {
     StorageFailed,
     /// The stored map cannot be used.
     DataLoss,
+    /// What is stored of the session is damaged; others are not affected.
+    SessionDamaged,
     /// The server is about to stop.
     ShuttingDown,
     /// The session's worker failed.
@@ -96,6 +98,7 @@ impl ErrorCode {
             Self::StorageFull => "STORAGE_FULL",
             Self::StorageFailed => "STORAGE_FAILED",
             Self::DataLoss => "DATA_LOSS",
+            Self::SessionDamaged => "SESSION_DAMAGED",
             Self::ShuttingDown => "SHUTTING_DOWN",
             Self::SessionFailed => "SESSION_FAILED",
             Self::Unauthenticated => "UNAUTHENTICATED",
@@ -132,7 +135,7 @@ impl ErrorCode {
             Self::UnsupportedMediaType => "The body is of a type that is not taken here",
             Self::StorageFull => "The storage is full",
             Self::StorageFailed => "The storage failed",
-            Self::DataLoss => "The stored map is damaged",
+            Self::DataLoss | Self::SessionDamaged => "The stored map is damaged",
             Self::ShuttingDown => "The server is shutting down",
             Self::SessionFailed => "The session failed",
             Self::Unauthenticated => "A token is needed",
@@ -172,7 +175,7 @@ impl ErrorCode {
             | Self::MessageTooLarge
             | Self::StorageFull => Code::ResourceExhausted,
             Self::StorageFailed | Self::ShuttingDown => Code::Unavailable,
-            Self::DataLoss => Code::DataLoss,
+            Self::DataLoss | Self::SessionDamaged => Code::DataLoss,
             Self::SessionFailed | Self::Internal => Code::Internal,
         }
     }
@@ -206,7 +209,9 @@ impl ErrorCode {
             Self::StorageFailed | Self::ShuttingDown | Self::TooManyConnections => {
                 StatusCode::SERVICE_UNAVAILABLE
             }
-            Self::DataLoss | Self::SessionFailed | Self::Internal => StatusCode::INTERNAL_SERVER_ERROR,
+            Self::DataLoss | Self::SessionDamaged | Self::SessionFailed | Self::Internal => {
+                StatusCode::INTERNAL_SERVER_ERROR
+            }
         }
     }
 }

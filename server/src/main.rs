@@ -1,8 +1,8 @@
-//! `monoslam-server`: serves until told to stop, or checks or compacts a database.
+//! `monoslam-server`: serves until told to stop, or looks after a database.
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
-use server::{Config, ConfigArgs, Hangups, QuickShare, Server, TokenCommand};
+use server::{Config, ConfigArgs, Hangups, QuickShare, Server, TokenCommand, UpkeepCommand};
 use std::io::IsTerminal;
 
 /// Monocular SLAM as a service: frames in over gRPC, maps and trajectories out over gRPC and HTTP
@@ -21,14 +21,11 @@ struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Checks that the database is whole and that its maps make sense; exits with 1 if not
-    Check,
+    #[command(flatten)]
+    Upkeep(UpkeepCommand),
     /// Makes, lists and revokes tokens, also while a server runs
     #[command(subcommand)]
     Token(TokenCommand),
-    /// Gives the room of deleted sessions back to the file system, while no server runs; needs as much room
-    /// beside the database as it has of data
-    Compact,
 }
 
 fn main() -> anyhow::Result<()> {
@@ -38,9 +35,8 @@ fn main() -> anyhow::Result<()> {
     let runtime = tokio::runtime::Runtime::new().context("cannot start the runtime")?;
     let outcome = match command {
         None => runtime.block_on(serve(config, quick_share)),
-        Some(Command::Check) => runtime.block_on(check(config)),
+        Some(Command::Upkeep(command)) => runtime.block_on(command.run(&config, &mut std::io::stdout())),
         Some(Command::Token(command)) => runtime.block_on(command.run(&config, &mut std::io::stdout())),
-        Some(Command::Compact) => runtime.block_on(compact(config)),
     };
     // A session that was abandoned at the end of the grace period must not hold the process up.
     runtime.shutdown_background();
@@ -64,37 +60,5 @@ async fn serve(mut config: Config, quick_share: bool) -> anyhow::Result<()> {
         }
     }
     running.shutdown().await;
-    Ok(())
-}
-
-async fn check(config: Config) -> anyhow::Result<()> {
-    let file = config.data_dir.join(server::DATABASE_FILE);
-    anyhow::ensure!(file.exists(), "there is no database at {}", file.display());
-    let (store, is_unwritable) = server::open_store_to_read(&config).await?;
-    if is_unwritable {
-        let log = config.data_dir.join(format!("{}-wal", server::DATABASE_FILE));
-        let n_bytes = log.metadata().map_or(0, |log| log.len());
-        let left_out =
-            if n_bytes > 0 { format!(", without the {n_bytes} bytes in its log") } else { String::new() };
-        println!("{} cannot be written and is read as it is{left_out}", file.display());
-    }
-    let problems = store.check().await.context("the database cannot be checked")?;
-    if !is_unwritable {
-        store.close().await?;
-    }
-    for problem in &problems {
-        println!("{problem}");
-    }
-    anyhow::ensure!(problems.is_empty(), "{} problems found in {}", problems.len(), file.display());
-    println!("{} is whole", file.display());
-    Ok(())
-}
-
-async fn compact(config: Config) -> anyhow::Result<()> {
-    let file = config.data_dir.join(server::DATABASE_FILE);
-    anyhow::ensure!(file.exists(), "there is no database at {}", file.display());
-    let [before, after] = server::compact(&config).await?;
-    let mb = |bytes: u64| bytes as f64 * 1e-6;
-    println!("{}: {:.1} MB before, {:.1} MB now", file.display(), mb(before), mb(after));
     Ok(())
 }

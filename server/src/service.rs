@@ -10,10 +10,11 @@ use crate::session::{
     self, FrameQueue, LoadContext, Located, OpenRequest, Registry, Replies, Reply, SentImage, SessionId,
     SessionView, ShownFrame,
 };
+use crate::soundness::Soundness;
 use geometry::{Camera, CameraParameters};
 use std::sync::Arc;
 use std::time::Duration;
-use store::{SessionChanges, SessionRecord, Store, StoredImage};
+use store::{SessionChanges, SessionRecord, Store, StoreError, StoredImage};
 use tokio::sync::Semaphore;
 
 /// Smallest image side the front end can use, pixels.
@@ -34,6 +35,7 @@ pub struct Service {
     maps: MapQueries,
     registry: Registry,
     access: Arc<Access>,
+    soundness: Arc<Soundness>,
     /// Sessions there are. Held while one is made, so that two at once cannot pass the limit.
     n_sessions: tokio::sync::Mutex<u64>,
     /// Single images that may be located at the same time.
@@ -57,13 +59,25 @@ impl Service {
     /// # Errors
     /// If the database cannot be read.
     pub async fn new(config: Arc<Config>, store: Store) -> Result<Self, ApiError> {
+        Self::of_sound(config, store, Arc::default()).await
+    }
+
+    /// As [`Self::new`], with what is known of damage in the database.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub(crate) async fn of_sound(
+        config: Arc<Config>,
+        store: Store,
+        soundness: Arc<Soundness>,
+    ) -> Result<Self, ApiError> {
         let registry = Registry::new(config.clone(), store.clone());
         let access = Access::new(config.access.clone(), config.quotas.clone(), store.clone()).await;
         let access = access.map_err(|error| ApiError::internal(format!("{error:#}")))?;
         let n_sessions = tokio::sync::Mutex::new(store.count_sessions_of("").await?);
         let localizations = Semaphore::new(config.sessions.n_localizations);
         let maps = MapQueries::new(store.clone(), config.data_dir.clone(), config.decode_limits());
-        Ok(Self { config, store, maps, registry, access, n_sessions, localizations })
+        Ok(Self { config, store, maps, registry, access, soundness, n_sessions, localizations })
     }
 
     /// The session's options.
@@ -153,6 +167,7 @@ impl Service {
         self.store.get_session(id.as_str()).await?;
         let delete = async { Ok(self.store.delete_session(id.as_str()).await?) };
         self.registry.delete(id, delete).await?;
+        self.soundness.forget(id.as_str());
         let mut n_sessions = self.n_sessions.lock().await;
         *n_sessions = n_sessions.saturating_sub(1);
         access::record(caller, Change::Deleted, id);
@@ -217,6 +232,7 @@ impl Service {
     pub async fn localize(&self, id: &SessionId, image: SentImage) -> Result<Located, ApiError> {
         self.registry.check_open()?;
         self.store.get_session(id.as_str()).await?;
+        self.soundness.require_sound(id.as_str())?;
         let turn = tokio::time::timeout(LOCALIZATION_PATIENCE, self.localizations.acquire()).await;
         let _turn = turn
             .map_err(|_elapsed| {
@@ -225,7 +241,8 @@ impl Service {
             })?
             .map_err(ApiError::internal)?;
         let context = LoadContext { store: &self.store, id };
-        session::localize(&context, image, self.config.decode_limits()).await
+        let located = session::localize(&context, image, self.config.decode_limits()).await;
+        located.inspect_err(|error| self.note_damage(id, error))
     }
 
     /// The map as a viewer draws it: what changed since a revision, or, where that is not known any more,
@@ -287,8 +304,10 @@ impl Service {
     ) -> Result<Arc<FrameQueue>, ApiError> {
         let id = request.id.clone();
         self.store.get_session(id.as_str()).await?;
+        self.soundness.require_sound(id.as_str())?;
         check_stored_bytes(&self.store, caller).await?;
-        let queue = self.registry.open_stream(request, replies.clone()).await?;
+        let queue = self.registry.open_stream(request, replies.clone()).await;
+        let queue = queue.inspect_err(|error| self.note_damage(&id, error))?;
         if let Err(error) = caller.count_stream(&queue) {
             queue.abort(Err(error.clone()));
             return Err(error);
@@ -308,11 +327,23 @@ impl Service {
     /// Whether the database answers, and what is saved lasts.
     ///
     /// # Errors
-    /// Why not.
-    pub async fn check_storage(&self) -> Result<(), ApiError> {
+    /// Why not. Nothing is logged: whoever asks does so again and again.
+    pub async fn check_storage(&self) -> Result<(), StoreError> {
         self.store.check_saving()?;
         self.store.list_sessions(None, 1).await?;
         Ok(())
+    }
+
+    /// What is known of damage in the database.
+    pub fn soundness(&self) -> &Soundness {
+        &self.soundness
+    }
+
+    /// A session that cannot be loaded for damage is closed, so that lists say so.
+    fn note_damage(&self, id: &SessionId, error: &ApiError) {
+        if error.code == ErrorCode::SessionDamaged {
+            self.soundness.close(id.as_str(), "its map cannot be loaded");
+        }
     }
 
     async fn check_room_for_session(&self, caller: &Caller) -> Result<(), ApiError> {
@@ -331,7 +362,8 @@ impl Service {
 
     fn view(&self, id: &SessionId, record: SessionRecord) -> SessionView {
         let loaded = self.registry.view(id);
-        SessionView { id: id.to_string(), ..SessionView::of(record, loaded) }
+        let damage = self.soundness.damage(id.as_str());
+        SessionView { id: id.to_string(), damage, ..SessionView::of(record, loaded) }
     }
 }
 

@@ -48,6 +48,7 @@
 //! # }).unwrap();
 //! ```
 
+mod backup;
 mod blob;
 mod check;
 mod delete;
@@ -76,6 +77,7 @@ mod snapshot;
 mod tokens;
 mod trajectory;
 
+pub use backup::Verified;
 pub use check::Finding;
 pub use digest::{Digest, TableDigest};
 pub use error::StoreError;

@@ -5,6 +5,7 @@ mod api;
 mod bad_frames;
 mod bad_requests;
 mod connections;
+mod damage;
 mod encryption;
 mod isolation;
 mod kidnap;

@@ -90,6 +90,10 @@ pub struct Session {
     /// while the calibration is used as it was given.
     #[prost(message, optional, tag = "18")]
     pub refined_camera: ::core::option::Option<Camera>,
+    /// What of it is damaged in the database, so that it can neither be streamed into nor located in: restore a backup of the
+    /// database, or delete the session. Absent if nothing is known to be.
+    #[prost(string, optional, tag = "19")]
+    pub damage: ::core::option::Option<::prost::alloc::string::String>,
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct CreateSessionRequest {

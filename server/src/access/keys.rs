@@ -3,6 +3,7 @@
 use super::Caller;
 use crate::clock::since_1970_ns;
 use crate::network::QuotaConfig;
+use crate::outage::Outage;
 use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use sha2::{Digest, Sha256};
@@ -138,10 +139,9 @@ impl Keys {
 
     /// Reads the tokens anew again and again, until `closing`.
     pub async fn look_after(self: Arc<Self>, every: Duration, closing: CancellationToken) {
+        let mut outage = Outage::new("the tokens cannot be read, those from before hold");
         while tokio::time::timeout(every, closing.cancelled()).await.is_err() {
-            if let Err(error) = self.refresh().await {
-                tracing::error!("the tokens cannot be read, those from before hold: {error}");
-            }
+            outage.note(&self.refresh().await);
         }
     }
 

@@ -140,6 +140,7 @@ pub(super) fn session(view: &SessionView) -> v1::Session {
         last_timestamp_ns: view.last_timestamp_ns,
         metres_per_unit: view.metres_per_unit,
         refined_camera: view.refined_camera.as_ref().map(camera),
+        damage: view.damage.clone(),
     }
 }
 

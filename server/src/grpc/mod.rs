@@ -11,6 +11,7 @@ use crate::access::{self, Caller, Door};
 use crate::connections::{self, Interface, Opening, Port};
 use crate::error::ApiError;
 use crate::options::SessionOptions;
+use crate::outage::Outage;
 use crate::page::PageRequest;
 use crate::service::Service;
 use crate::session::SessionId;
@@ -64,8 +65,11 @@ pub(crate) async fn serve(
 
 /// Says by the health service whether calls are taken and what they bring is saved, until `closing`.
 async fn report_health(service: Arc<Service>, reporter: HealthReporter, closing: CancellationToken) {
+    let mut log = Outage::new("nothing can be saved");
     while tokio::time::timeout(HEALTH_EVERY, closing.cancelled()).await.is_err() {
-        match service.check_storage().await {
+        let storage = service.check_storage().await;
+        log.note(&storage);
+        match storage {
             Ok(()) => reporter.set_serving::<SlamServiceServer<Handler>>().await,
             Err(_unsaved) => reporter.set_not_serving::<SlamServiceServer<Handler>>().await,
         }

@@ -72,6 +72,8 @@ pub struct SessionView {
     pub loaded: bool,
     /// Whether a writer is connected.
     pub has_writer: bool,
+    /// What of it is damaged, so that it cannot be streamed into; `None` if nothing is known to be.
+    pub damage: Option<String>,
 }
 
 impl SessionView {
@@ -118,6 +120,7 @@ impl SessionView {
             last_timestamp_ns: last_frame.map(|(_, timestamp_ns)| timestamp_ns),
             loaded: false,
             has_writer: false,
+            damage: None,
         }
     }
 

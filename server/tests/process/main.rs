@@ -1,0 +1,5 @@
+//! The server as a program of its own: killed, copied beside its streams, and put back.
+
+mod backup;
+mod crash;
+mod program;
