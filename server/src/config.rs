@@ -52,6 +52,10 @@ pub struct Config {
 pub struct Limits {
     /// Largest gRPC message, bytes. Default 64 MiB: the largest raw color image with room to spare.
     pub max_message_bytes: usize,
+    /// Bytes of messages that are begun and not finished, or wait to be worked off, of all clients together; who
+    /// brings more waits, and is refused after five seconds. Default 256 MiB, four of the largest messages. Over
+    /// a WebSocket only complete messages count.
+    pub max_bytes_in_flight: usize,
     /// Largest image, pixels. Default 4096 * 3072. Checked before an image is decoded.
     pub max_image_pixels: u64,
     /// Sessions kept at most, loaded or not. Default 10 000.
@@ -66,6 +70,7 @@ impl Default for Limits {
     fn default() -> Self {
         Self {
             max_message_bytes: 64 << 20,
+            max_bytes_in_flight: 256 << 20,
             max_image_pixels: 4096 * 3072,
             max_sessions: 10_000,
             max_loaded_sessions: 64,
@@ -309,6 +314,11 @@ impl Config {
         self.storage.validate()?;
         let bytes = self.limits.max_message_bytes;
         ensure!(bytes >= 1 << 16, "limits.max_message_bytes is {bytes} but must be at least 65536");
+        let in_flight = self.limits.max_bytes_in_flight;
+        ensure!(
+            in_flight >= bytes,
+            "limits.max_bytes_in_flight is {in_flight} but must be at least limits.max_message_bytes, which is {bytes}"
+        );
         Ok(())
     }
 

@@ -14,6 +14,7 @@
 //! ```
 
 pub mod access;
+mod budget;
 mod clock;
 mod config;
 mod connections;

@@ -1,7 +1,7 @@
 //! A running server: two ports, one service, one database.
 
 use crate::config::Config;
-use crate::connections::{Certificates, Opening, Table, raise_file_limit};
+use crate::connections::{Certificates, Meter, Opening, Table, raise_file_limit};
 use crate::data::{DataLock, open_store};
 use crate::service::Service;
 use crate::soundness::Soundness;
@@ -59,7 +59,10 @@ impl Server {
         if let Some(certificates) = &tls {
             tokio::spawn(certificates.clone().look_after(closing.clone()));
         }
-        let opening = |listener| Opening { listener, tls: tls.clone(), table: table.clone() };
+        let max_bytes = service.config().limits.max_message_bytes;
+        let meter = Meter { budget: service.budget().clone(), max_bytes };
+        let opening =
+            |listener| Opening { listener, tls: tls.clone(), table: table.clone(), meter: meter.clone() };
         let grpc = grpc::serve(service.clone(), opening(grpc_listener), http_addr.port(), closing.clone());
         let http = rest::serve(rest::App::new(service.clone()), opening(http_listener), closing.clone());
         let tasks = vec![("gRPC", tokio::spawn(grpc)), ("HTTP", tokio::spawn(http))];

@@ -1,6 +1,7 @@
 //! What the server does, once for both interfaces.
 
 use crate::access::{self, Access, Caller, Change};
+use crate::budget::Budget;
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
 use crate::maps::{MapQueries, Observed, SceneParts};
@@ -36,6 +37,7 @@ pub struct Service {
     registry: Registry,
     access: Arc<Access>,
     soundness: Arc<Soundness>,
+    budget: Arc<Budget>,
     /// Sessions there are. Held while one is made, so that two at once cannot pass the limit.
     n_sessions: tokio::sync::Mutex<u64>,
     /// Single images that may be located at the same time.
@@ -77,7 +79,8 @@ impl Service {
         let n_sessions = tokio::sync::Mutex::new(store.count_sessions_of("").await?);
         let localizations = Semaphore::new(config.sessions.n_localizations);
         let maps = MapQueries::new(store.clone(), config.data_dir.clone(), config.decode_limits());
-        Ok(Self { config, store, maps, registry, access, soundness, n_sessions, localizations })
+        let budget = Arc::new(Budget::new(config.limits.max_bytes_in_flight));
+        Ok(Self { config, store, maps, registry, access, soundness, budget, n_sessions, localizations })
     }
 
     /// The session's options.
@@ -334,8 +337,13 @@ impl Service {
         Ok(())
     }
 
+    /// Room for what clients send.
+    pub(crate) fn budget(&self) -> &Arc<Budget> {
+        &self.budget
+    }
+
     /// What is known of damage in the database.
-    pub fn soundness(&self) -> &Soundness {
+    pub(crate) fn soundness(&self) -> &Soundness {
         &self.soundness
     }
 

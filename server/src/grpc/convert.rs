@@ -1,6 +1,7 @@
 //! Between the messages of the contract and the service's types.
 
 use crate::access::Caller;
+use crate::budget::Charge;
 use crate::error::{ApiError, FieldViolation};
 use crate::model::{Pose, Scale, Units};
 use crate::options::{SessionOptions, convert_options};
@@ -16,6 +17,7 @@ use proto::v1::session_event::Event;
 use proto::v1::stream_frames_response::Message;
 
 use slam::map::{FrameState, KeyframeId};
+use std::sync::Arc;
 use std::time::Instant;
 use store::MAX_SEQUENCE;
 use vision::decode::PixelFormat;
@@ -193,7 +195,7 @@ pub(super) fn open_request(caller: &Caller, open: v1::OpenStream) -> Result<Open
 }
 
 /// A frame, or why it cannot be one.
-pub(super) fn frame(frame: v1::Frame) -> Result<SentFrame, Rejection> {
+pub(super) fn frame(frame: v1::Frame, charge: Option<Charge>) -> Result<SentFrame, Rejection> {
     let v1::Frame { sequence, timestamp_ns, image } = frame;
     let reject = |field, reason: &str, code| Rejection { sequence, field, reason: reason.to_owned(), code };
     if sequence > MAX_SEQUENCE {
@@ -205,7 +207,7 @@ pub(super) fn frame(frame: v1::Frame) -> Result<SentFrame, Rejection> {
     let Some(image) = sent_image(image) else {
         return Err(reject("image.encoding", "is none this server knows", "UNKNOWN_FORMAT"));
     };
-    Ok(SentFrame { sequence, timestamp_ns, image, arrived: Instant::now() })
+    Ok(SentFrame { sequence, timestamp_ns, image, arrived: Instant::now(), charge: charge.map(Arc::new) })
 }
 
 /// The image of a request to locate it.

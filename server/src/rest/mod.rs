@@ -170,8 +170,8 @@ pub fn openapi() -> utoipa::openapi::OpenApi {
 /// Serves HTTP until `closing`, then lets what is under way end.
 pub(crate) async fn serve(app: App, opening: Opening, closing: CancellationToken) -> anyhow::Result<()> {
     tokio::spawn(fold_metrics(app.metrics.clone(), closing.clone()));
-    let Opening { listener, tls, table } = opening;
-    let port = Port { listener, interface: Interface::Http, tls, table, patient_paths: &[] };
+    let Opening { listener, tls, table, meter } = opening;
+    let port = Port { listener, interface: Interface::Http, tls, table, meter, patient_paths: &[] };
     connections::serve(port, router(app), closing).await;
     Ok(())
 }

@@ -39,6 +39,7 @@ fn unsaved(error: StoreError) -> ApiError {
 pub(super) async fn metrics(State(app): State<App>) -> impl IntoResponse {
     let (n_loaded, n_writers) = app.service.registry().n_loaded();
     metrics::gauge!("monoslam_sessions_loaded").set(n_loaded as f64);
+    metrics::gauge!("monoslam_bytes_in_flight").set(app.service.budget().n_taken_bytes() as f64);
     metrics::gauge!("monoslam_streams_open").set(n_writers as f64);
     ([(CONTENT_TYPE, "text/plain; version=0.0.4")], app.metrics.render())
 }

@@ -49,7 +49,8 @@ pub fn run(
 }
 
 fn decode(frame: SentFrame, limits: &DecodeLimits, depth: &mut SampleDepth) -> Decoded {
-    let SentFrame { sequence, timestamp_ns, image: sent, arrived } = frame;
+    // What is kept of the image beyond here is bounded elsewhere.
+    let SentFrame { sequence, timestamp_ns, image: sent, arrived, charge: _charge } = frame;
     match decode_image(&sent, limits, depth) {
         Ok(image) => {
             let brightest = brightest(&image);
@@ -163,7 +164,7 @@ mod tests {
         let encoding = Encoding::Raw(PixelFormat::Gray8);
         let data = bytes::Bytes::copy_from_slice(data);
         let image = SentImage { encoding, width: 160, height: 120, row_stride: 0, data };
-        Queued::Frame(SentFrame { sequence, timestamp_ns: 0, image, arrived: Instant::now() })
+        Queued::Frame(SentFrame { sequence, timestamp_ns: 0, image, arrived: Instant::now(), charge: None })
     }
 
     #[tokio::test]

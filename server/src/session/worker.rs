@@ -441,7 +441,13 @@ mod tests {
         let data = vec![128; (WIDTH * HEIGHT) as usize].into();
         let encoding = Encoding::Raw(PixelFormat::Gray8);
         let image = SentImage { encoding, width: WIDTH, height: HEIGHT, row_stride: 0, data };
-        Queued::Frame(SentFrame { sequence, timestamp_ns: sequence as i64, image, arrived: Instant::now() })
+        Queued::Frame(SentFrame {
+            sequence,
+            timestamp_ns: sequence as i64,
+            image,
+            arrived: Instant::now(),
+            charge: None,
+        })
     }
 
     fn camera() -> Camera {

@@ -37,6 +37,14 @@ impl ServerProcess {
         tests::connect(self.grpc_addr).await.expect("the server takes connections")
     }
 
+    /// Memory that the process takes now.
+    pub fn resident_bytes(&self) -> u64 {
+        let text = std::fs::read_to_string(format!("/proc/{}/statm", self.child.id())).expect("it runs");
+        let n_pages: u64 = text.split(' ').nth(1).and_then(|n| n.parse().ok()).expect("a number of pages");
+        // SAFETY: asks for a constant.
+        n_pages * unsafe { libc::sysconf(libc::_SC_PAGESIZE) } as u64
+    }
+
     /// SIGKILL.
     pub fn kill(mut self) {
         self.child.kill().expect("the server was running");
