@@ -44,6 +44,9 @@ pub struct Config {
     pub quotas: QuotaConfig,
     /// How the log is written.
     pub log: LogFormat,
+    /// What is in the log, in the words of `RUST_LOG`, such as `warn,audit=info`. That variable goes before it.
+    /// Default `info`.
+    pub log_filter: Option<String>,
 }
 
 /// What is refused, each with an error that says so.
@@ -98,6 +101,14 @@ pub struct SessionConfig {
     /// as much memory as its map.
     #[serde(alias = "n_localisations")]
     pub n_localizations: usize,
+    /// How far a frame's sequence may be beyond the one that is expected; one further is refused. Default
+    /// 1 000 000 000: a year at 30 frames a second. What is more is no count of frames, and a few such leaps would
+    /// leave no numbers.
+    pub max_sequence_leap: u64,
+    /// Seconds a frame's time may be after that of the one before; one later is refused, unless it begins a new
+    /// segment. Default 31 622 400, a leap year: what is more comes from a clock that was set, and would keep the
+    /// session from going on once that is set right.
+    pub max_time_leap_s: f64,
     /// Seconds after which a stream that sends nothing gives up its session's place in memory when another
     /// session needs one. Default 30: a camera that sends less than a frame in half a minute maps nothing.
     pub idle_stream_s: f64,
@@ -112,6 +123,8 @@ impl Default for SessionConfig {
             keep_keyframe_images: true,
             save_retry_s: 1.0,
             n_localizations: 1,
+            max_sequence_leap: 1_000_000_000,
+            max_time_leap_s: 31_622_400.0,
             idle_stream_s: 30.0,
         }
     }
@@ -160,6 +173,7 @@ impl Default for Config {
             connections: ConnectionConfig::default(),
             quotas: QuotaConfig::default(),
             log: LogFormat::default(),
+            log_filter: None,
         }
     }
 }
@@ -301,6 +315,16 @@ impl Config {
         for (field, seconds) in spans {
             ensure!((0.0..=1e6).contains(&seconds), "{field} is {seconds} but must be 0 to 1000000 seconds");
         }
+        let (leap, time_leap_s) = (self.sessions.max_sequence_leap, self.sessions.max_time_leap_s);
+        ensure!(
+            (1..=1 << 62).contains(&leap),
+            "sessions.max_sequence_leap is {leap} but must be 1 to {}",
+            1_u64 << 62
+        );
+        ensure!(
+            (1.0..=4e9).contains(&time_leap_s),
+            "sessions.max_time_leap_s is {time_leap_s} but must be 1 to 4000000000 seconds"
+        );
         let counts = [
             ("sessions.lossless_queue_frames", self.sessions.lossless_queue_frames),
             ("sessions.realtime_queue_frames", self.sessions.realtime_queue_frames),
@@ -312,6 +336,10 @@ impl Config {
         }
         network::validate(&self.access, &self.tls, &self.connections, &self.quotas)?;
         self.storage.validate()?;
+        if let Some(filter) = &self.log_filter {
+            let parsed = tracing_subscriber::EnvFilter::try_new(filter);
+            parsed.map_err(|error| anyhow::anyhow!("log_filter: {filter:?} cannot be used: {error}"))?;
+        }
         let bytes = self.limits.max_message_bytes;
         ensure!(bytes >= 1 << 16, "limits.max_message_bytes is {bytes} but must be at least 65536");
         let in_flight = self.limits.max_bytes_in_flight;

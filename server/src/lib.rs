@@ -18,6 +18,7 @@ mod budget;
 mod clock;
 mod config;
 mod connections;
+mod current;
 mod data;
 mod error;
 pub mod grpc;

@@ -29,12 +29,12 @@ enum Command {
 }
 
 fn main() -> anyhow::Result<()> {
-    let Args { config, quick_share, command } = Args::parse();
-    let config = Config::load(config)?;
-    server::start_log(config.log);
+    let Args { config: arguments, quick_share, command } = Args::parse();
+    let config = Config::load(arguments.clone())?;
+    server::start_log(&config);
     let runtime = tokio::runtime::Runtime::new().context("cannot start the runtime")?;
     let outcome = match command {
-        None => runtime.block_on(serve(config, quick_share)),
+        None => runtime.block_on(serve(config, arguments, quick_share)),
         Some(Command::Upkeep(command)) => runtime.block_on(command.run(&config, &mut std::io::stdout())),
         Some(Command::Token(command)) => runtime.block_on(command.run(&config, &mut std::io::stdout())),
     };
@@ -43,7 +43,8 @@ fn main() -> anyhow::Result<()> {
     outcome
 }
 
-async fn serve(mut config: Config, quick_share: bool) -> anyhow::Result<()> {
+async fn serve(mut config: Config, arguments: ConfigArgs, quick_share: bool) -> anyhow::Result<()> {
+    let mut as_read = config.clone();
     let share = quick_share.then(|| QuickShare::prepare(&mut config)).transpose()?;
     // From now on: a hang-up while the database is opened must not end the process.
     let mut hangups = Hangups::new().context("SIGHUP cannot be listened for")?;
@@ -56,7 +57,16 @@ async fn serve(mut config: Config, quick_share: bool) -> anyhow::Result<()> {
     loop {
         tokio::select! {
             requested = requested.as_mut() => break requested?,
-            () = hangups.next() => running.reload().await,
+            () = hangups.next() => {
+                running.reload().await;
+                match Config::load(arguments.clone()) {
+                    Ok(read) => {
+                        running.reconfigure(&as_read, &read);
+                        as_read = read;
+                    }
+                    Err(error) => tracing::error!("the configuration from before holds: {error:#}"),
+                }
+            }
         }
     }
     running.shutdown().await;

@@ -2,10 +2,11 @@
 
 use crate::config::Config;
 use crate::connections::{Certificates, Meter, Opening, Table, raise_file_limit};
+use crate::current::Changes;
 use crate::data::{DataLock, open_store};
 use crate::service::Service;
 use crate::soundness::Soundness;
-use crate::{grpc, rest};
+use crate::{grpc, rest, telemetry};
 use anyhow::Context;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -122,7 +123,25 @@ impl Running {
         &self.store
     }
 
-    /// Reads again what can change while the server runs: certificates and tokens.
+    /// Takes over what differs between the configuration as it was read before and as it is read now, as far as
+    /// that can change while the server runs, and logs what does and what does not.
+    pub fn reconfigure(&self, before: &Config, now: &Config) {
+        let changes = match self.service.reconfigure(before, now) {
+            Ok(changes) => changes,
+            Err(error) => return tracing::error!("the configuration from before holds: {error:#}"),
+        };
+        telemetry::refilter_log(&self.service.config());
+        let Changes { now, after_restart } = &changes;
+        if !now.is_empty() {
+            tracing::info!("the configuration has changed: {}", now.join(", "));
+        }
+        if !after_restart.is_empty() {
+            let fields = after_restart.join(", ");
+            tracing::warn!("changed, but held only once the server is started again: {fields}");
+        }
+    }
+
+    /// Reads again what can change while the server runs besides its configuration: certificates and tokens.
     pub async fn reload(&self) {
         if let Some(certificates) = &self.tls {
             certificates.reload();

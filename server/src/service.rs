@@ -3,6 +3,7 @@
 use crate::access::{self, Access, Caller, Change};
 use crate::budget::Budget;
 use crate::config::Config;
+use crate::current::{Changes, Current};
 use crate::error::{ApiError, ErrorCode};
 use crate::maps::{MapQueries, Observed, SceneParts};
 use crate::options::{SessionOptions, camera_to_begin_with, camera_warnings, engine_config};
@@ -31,7 +32,7 @@ const METRES_PER_UNIT: std::ops::RangeInclusive<f64> = 1e-6..=1e9;
 
 /// The one service behind gRPC and HTTP.
 pub struct Service {
-    config: Arc<Config>,
+    config: Current,
     store: Store,
     maps: MapQueries,
     registry: Registry,
@@ -73,19 +74,42 @@ impl Service {
         store: Store,
         soundness: Arc<Soundness>,
     ) -> Result<Self, ApiError> {
-        let registry = Registry::new(config.clone(), store.clone());
+        let current = Current::new(config.clone());
+        let registry = Registry::new(current.clone(), store.clone());
         let access = Access::new(config.access.clone(), config.quotas.clone(), store.clone()).await;
         let access = access.map_err(|error| ApiError::internal(format!("{error:#}")))?;
         let n_sessions = tokio::sync::Mutex::new(store.count_sessions_of("").await?);
         let localizations = Semaphore::new(config.sessions.n_localizations);
         let maps = MapQueries::new(store.clone(), config.data_dir.clone(), config.decode_limits());
         let budget = Arc::new(Budget::new(config.limits.max_bytes_in_flight));
-        Ok(Self { config, store, maps, registry, access, soundness, budget, n_sessions, localizations })
+        Ok(Self {
+            config: current,
+            store,
+            maps,
+            registry,
+            access,
+            soundness,
+            budget,
+            n_sessions,
+            localizations,
+        })
     }
 
-    /// The session's options.
-    pub fn config(&self) -> &Config {
-        &self.config
+    /// The configuration as it is now.
+    pub fn config(&self) -> Arc<Config> {
+        self.config.get()
+    }
+
+    /// Takes over what differs between the configuration as it was read before and as it is read now, as far as
+    /// that can change while the server runs.
+    ///
+    /// # Errors
+    /// As [`Current::change`].
+    pub(crate) fn reconfigure(&self, before: &Config, now: &Config) -> anyhow::Result<Changes> {
+        let changes = self.config.change(before, now)?;
+        let config = self.config();
+        self.access.reconfigure(&config.access, &config.quotas);
+        Ok(changes)
     }
 
     /// What can be asked of maps.
@@ -111,10 +135,10 @@ impl Service {
         self.registry.check_open()?;
         let NewSession { id, camera, options } = new;
         let (camera, options) = camera_to_begin_with(camera, options);
-        check_image_size(&camera, self.config.limits.max_image_pixels)?;
+        check_image_size(&camera, self.config().limits.max_image_pixels)?;
         let camera = check_camera(camera)?;
         engine_config(&options)?;
-        let limit = self.config.limits.max_sessions;
+        let limit = self.config().limits.max_sessions;
         let mut n_sessions = self.n_sessions.lock().await;
         if *n_sessions >= limit {
             let sentence =
@@ -244,7 +268,7 @@ impl Service {
             })?
             .map_err(ApiError::internal)?;
         let context = LoadContext { store: &self.store, id };
-        let located = session::localize(&context, image, self.config.decode_limits()).await;
+        let located = session::localize(&context, image, self.config().decode_limits()).await;
         located.inspect_err(|error| self.note_damage(id, error))
     }
 
@@ -365,7 +389,7 @@ impl Service {
     }
 
     fn quota_check(&self) -> Duration {
-        Duration::from_secs_f64(self.config.quotas.check_s)
+        Duration::from_secs_f64(self.config().quotas.check_s)
     }
 
     fn view(&self, id: &SessionId, record: SessionRecord) -> SessionView {

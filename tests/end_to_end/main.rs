@@ -10,6 +10,7 @@ mod encryption;
 mod isolation;
 mod kidnap;
 mod maps;
+mod segments;
 mod shutdown;
 mod storage;
 mod tracking;

@@ -340,6 +340,10 @@ pub struct OpenStream {
     /// Ends the stream of the present writer, if there is one, instead of being refused.
     #[prost(bool, tag = "4")]
     pub take_over: bool,
+    /// Begins a new segment with the first new frame: its time may be any, before or after those of earlier frames, as after
+    /// a clock was set. Sequence numbers go on. The camera is looked for in the map as after a long pause.
+    #[prost(bool, tag = "5")]
+    pub new_segment: bool,
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Frame {

@@ -191,7 +191,7 @@ pub(super) fn open_request(caller: &Caller, open: v1::OpenStream) -> Result<Open
         return Err(ApiError::invalid_fields(violations));
     }
     let id = caller.session(&open.session_id, "open.session_id")?;
-    Ok(OpenRequest { id, mode, policy, take_over: open.take_over })
+    Ok(OpenRequest { id, mode, policy, take_over: open.take_over, new_segment: open.new_segment })
 }
 
 /// A frame, or why it cannot be one.

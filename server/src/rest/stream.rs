@@ -68,6 +68,8 @@ pub(super) struct Wanted {
     policy: WantedPolicy,
     /// Ends the stream of the present writer, if there is one, instead of being refused.
     take_over: bool,
+    /// Begins a new segment with the first new frame: its time may be any, as after a clock was set.
+    new_segment: bool,
 }
 
 /// One message to the client of a stream.
@@ -140,7 +142,8 @@ pub(super) async fn stream(
         WantedPolicy::Lossless => Policy::Lossless,
         WantedPolicy::Realtime => Policy::Realtime,
     };
-    let request = OpenRequest { id, mode: Mode::MapAndLocalize, policy, take_over: wanted.take_over };
+    let Wanted { take_over, new_segment, .. } = wanted;
+    let request = OpenRequest { id, mode: Mode::MapAndLocalize, policy, take_over, new_segment };
     let max_bytes = app.service.config().limits.max_message_bytes;
     let upgrade = upgrade.max_message_size(max_bytes).max_frame_size(max_bytes);
     Ok(upgrade.on_upgrade(move |socket| serve(app.service, caller, socket, request)))

@@ -134,6 +134,10 @@ pub fn rejection_of(error: &slam::FrameError, sequence: u64) -> Rejection {
 /// nanoseconds.
 const CLOCK_SET_BACK_NS: i64 = 500_000_000;
 
+/// How to go on after a clock was set.
+pub const NEW_SEGMENT: &str = "open the stream anew with `new_segment` (`monoslam stream --new-segment`), whose times \
+                               may be any";
+
 /// What to do about a frame the engine refused, where that is not plain.
 fn advice(error: &slam::FrameError) -> String {
     match error {
@@ -144,8 +148,8 @@ fn advice(error: &slam::FrameError) -> String {
             }
             let back_s = back_ns as f64 * 1e-9;
             format!(
-                "; the clock was set back by {back_s:.1} s: take times from one that is not (monotonic), or go on behind \
-                 the last frame, as `monoslam stream --continue-times` does"
+                "; the clock was set back by {back_s:.1} s: {NEW_SEGMENT}, take times from a clock that is not set (monotonic), \
+                 or go on behind the last frame, as `monoslam stream --continue-times` does"
             )
         }
         _ => String::new(),

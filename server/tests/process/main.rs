@@ -4,3 +4,4 @@ mod backup;
 mod crash;
 mod memory;
 mod program;
+mod reload;

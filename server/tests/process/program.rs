@@ -18,13 +18,16 @@ pub struct ServerProcess {
 impl ServerProcess {
     /// Starts a server and waits until it serves.
     pub fn start(data_dir: &Path) -> Self {
-        let mut child = Command::new(SERVER)
-            .args(["--grpc-addr", "127.0.0.1:0", "--http-addr", "127.0.0.1:0", "--data-dir"])
-            .arg(data_dir)
-            .env("RUST_LOG", "info")
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("the server starts");
+        Self::start_with(data_dir, |_| {})
+    }
+
+    /// As [`Self::start`], with more arguments or another environment.
+    pub fn start_with(data_dir: &Path, change: impl FnOnce(&mut Command)) -> Self {
+        let mut command = Command::new(SERVER);
+        command.args(["--grpc-addr", "127.0.0.1:0", "--http-addr", "127.0.0.1:0", "--data-dir"]);
+        change(command.arg(data_dir));
+        let mut child =
+            command.env("RUST_LOG", "info").stderr(Stdio::piped()).spawn().expect("the server starts");
         let mut log = BufReader::new(child.stderr.take().expect("a log")).lines();
         let addresses = log.by_ref().map_while(Result::ok).find_map(|line| addresses_in(&line));
         let (grpc_addr, http_addr) = addresses.expect("the server says where it serves");
@@ -51,11 +54,16 @@ impl ServerProcess {
         self.child.wait().expect("the server has ended");
     }
 
+    /// Sends the server a signal.
+    pub fn signal(&self, signal: libc::c_int) {
+        // SAFETY: sends a signal to a child that was not waited for yet, so that its number is still its own.
+        let sent = unsafe { libc::kill(self.child.id() as libc::pid_t, signal) };
+        assert_eq!(sent, 0);
+    }
+
     /// SIGTERM; whether the server ended well.
     pub fn terminate(mut self) -> bool {
-        // SAFETY: sends a signal to a child that was not waited for yet, so that its number is still its own.
-        let sent = unsafe { libc::kill(self.child.id() as libc::pid_t, libc::SIGTERM) };
-        assert_eq!(sent, 0);
+        self.signal(libc::SIGTERM);
         self.child.wait().expect("the server ends").success()
     }
 }
