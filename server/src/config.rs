@@ -109,6 +109,9 @@ pub struct SessionConfig {
     /// segment. Default 31 622 400, a leap year: what is more comes from a clock that was set, and would keep the
     /// session from going on once that is set right.
     pub max_time_leap_s: f64,
+    /// Seconds that are spent on locating a single image, its turn not counted. Default 10: a large map is read and
+    /// searched in two.
+    pub localize_timeout_s: f64,
     /// Seconds after which a stream that sends nothing gives up its session's place in memory when another
     /// session needs one. Default 30: a camera that sends less than a frame in half a minute maps nothing.
     pub idle_stream_s: f64,
@@ -123,6 +126,7 @@ impl Default for SessionConfig {
             keep_keyframe_images: true,
             save_retry_s: 1.0,
             n_localizations: 1,
+            localize_timeout_s: 10.0,
             max_sequence_leap: 1_000_000_000,
             max_time_leap_s: 31_622_400.0,
             idle_stream_s: 30.0,
@@ -311,6 +315,7 @@ impl Config {
             ("sessions.idle_unload_s", self.sessions.idle_unload_s),
             ("sessions.save_retry_s", self.sessions.save_retry_s),
             ("sessions.idle_stream_s", self.sessions.idle_stream_s),
+            ("sessions.localize_timeout_s", self.sessions.localize_timeout_s),
         ];
         for (field, seconds) in spans {
             ensure!((0.0..=1e6).contains(&seconds), "{field} is {seconds} but must be 0 to 1000000 seconds");

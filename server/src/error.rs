@@ -38,6 +38,8 @@ pub enum ErrorCode {
     NotAvailable,
     /// As many such requests are under way as the server takes.
     TooBusy,
+    /// The answer was not there in the time that the server spends on one.
+    TookTooLong,
     /// A message is larger than the server takes.
     MessageTooLarge,
     /// The body is of a type that is not taken here.
@@ -86,6 +88,7 @@ impl ErrorCode {
             Self::FrameNotFound => "FRAME_NOT_FOUND",
             Self::NotAvailable => "NOT_AVAILABLE",
             Self::TooBusy => "TOO_BUSY",
+            Self::TookTooLong => "TOOK_TOO_LONG",
             Self::NotFound => "NOT_FOUND",
             Self::MethodNotAllowed => "METHOD_NOT_ALLOWED",
             Self::SessionExists => "SESSION_EXISTS",
@@ -124,6 +127,7 @@ impl ErrorCode {
             Self::FrameNotFound => "The frame is not kept, or no longer",
             Self::NotAvailable => "Not available in this version",
             Self::TooBusy => "Too much is asked at once",
+            Self::TookTooLong => "It took too long",
             Self::NotFound => "No such path",
             Self::MethodNotAllowed => "The path does not take this method",
             Self::SessionExists => "The session exists already",
@@ -174,6 +178,7 @@ impl ErrorCode {
             | Self::TooManyConnections
             | Self::MessageTooLarge
             | Self::StorageFull => Code::ResourceExhausted,
+            Self::TookTooLong => Code::DeadlineExceeded,
             Self::StorageFailed | Self::ShuttingDown => Code::Unavailable,
             Self::DataLoss | Self::SessionDamaged => Code::DataLoss,
             Self::SessionFailed | Self::Internal => Code::Internal,
@@ -206,7 +211,7 @@ impl ErrorCode {
             Self::MessageTooLarge => StatusCode::PAYLOAD_TOO_LARGE,
             Self::UnsupportedMediaType => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             Self::StorageFull => StatusCode::INSUFFICIENT_STORAGE,
-            Self::StorageFailed | Self::ShuttingDown | Self::TooManyConnections => {
+            Self::StorageFailed | Self::ShuttingDown | Self::TooManyConnections | Self::TookTooLong => {
                 StatusCode::SERVICE_UNAVAILABLE
             }
             Self::DataLoss | Self::SessionDamaged | Self::SessionFailed | Self::Internal => {

@@ -42,7 +42,7 @@ pub struct Service {
     /// Sessions there are. Held while one is made, so that two at once cannot pass the limit.
     n_sessions: tokio::sync::Mutex<u64>,
     /// Single images that may be located at the same time.
-    localizations: Semaphore,
+    localizations: Arc<Semaphore>,
 }
 
 /// A session to be made.
@@ -79,7 +79,7 @@ impl Service {
         let access = Access::new(config.access.clone(), config.quotas.clone(), store.clone()).await;
         let access = access.map_err(|error| ApiError::internal(format!("{error:#}")))?;
         let n_sessions = tokio::sync::Mutex::new(store.count_sessions_of("").await?);
-        let localizations = Semaphore::new(config.sessions.n_localizations);
+        let localizations = Arc::new(Semaphore::new(config.sessions.n_localizations));
         let maps = MapQueries::new(store.clone(), config.data_dir.clone(), config.decode_limits());
         let budget = Arc::new(Budget::new(config.limits.max_bytes_in_flight));
         Ok(Self {
@@ -260,15 +260,26 @@ impl Service {
         self.registry.check_open()?;
         self.store.get_session(id.as_str()).await?;
         self.soundness.require_sound(id.as_str())?;
-        let turn = tokio::time::timeout(LOCALIZATION_PATIENCE, self.localizations.acquire()).await;
-        let _turn = turn
+        let asked = self.localizations.clone().acquire_owned();
+        let turn = tokio::time::timeout(LOCALIZATION_PATIENCE, asked).await;
+        let turn = turn
             .map_err(|_elapsed| {
                 let sentence = "as many images are being located as this server takes; try again later";
                 ApiError::new(ErrorCode::TooBusy, sentence)
             })?
             .map_err(ApiError::internal)?;
+        let config = self.config();
+        let limit_s = config.sessions.localize_timeout_s;
         let context = LoadContext { store: &self.store, id };
-        let located = session::localize(&context, image, self.config().decode_limits()).await;
+        let locating = session::localize(&context, image, config.decode_limits(), turn);
+        let located = tokio::time::timeout(Duration::from_secs_f64(limit_s), locating).await;
+        let located = located.map_err(|_elapsed| {
+            let sentence = format!(
+                "the image was not located within {limit_s} s, which is what this server spends on one \
+                 (sessions.localize_timeout_s)"
+            );
+            ApiError::new(ErrorCode::TookTooLong, sentence)
+        })?;
         located.inspect_err(|error| self.note_damage(id, error))
     }
 

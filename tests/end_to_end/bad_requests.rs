@@ -231,3 +231,17 @@ async fn a_body_that_does_not_fit_beside_others_is_refused_and_may_come_again() 
     tokio::time::sleep(std::time::Duration::from_millis(300)).await;
     assert_eq!(send().await.unwrap().status(), 400, "it is read, and no image");
 }
+
+#[tokio::test]
+async fn locating_an_image_ends_in_time_and_the_next_one_has_its_turn() {
+    let server = TestServer::start_with(|config| config.sessions.localize_timeout_s = 1e-6).await;
+    let mut client = server.client().await;
+    create_session(&mut client, "s", camera(640, 480)).await.unwrap();
+    for _ in 0..3 {
+        let image = Some(png(640, 480, &vec![7; 640 * 480]));
+        let request = v1::LocalizeRequest { session_id: "s".into(), image };
+        let status = client.localize(request).await.unwrap_err();
+        assert_eq!(status.code(), Code::DeadlineExceeded, "{status}");
+        assert!(status.message().contains("localize_timeout_s"), "{status}");
+    }
+}
