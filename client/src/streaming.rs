@@ -50,6 +50,8 @@ pub struct StreamPlan {
     pub placement: Placement,
     /// Whether to end the stream of a present writer instead of being refused.
     pub take_over: bool,
+    /// Whether the first frame begins a new segment, whose times may be any, as after a clock was set.
+    pub new_segment: bool,
 }
 
 impl StreamPlan {
@@ -63,6 +65,7 @@ impl StreamPlan {
             range: 0..source.n_frames().unwrap_or(usize::MAX),
             placement: Placement::AS_RECORDED,
             take_over: false,
+            new_segment: false,
         }
     }
 
@@ -196,6 +199,8 @@ async fn stream_once(
         mode: v1::StreamMode::MapAndLocalize.into(),
         policy: plan.policy.into(),
         take_over,
+        // Not again on the way.
+        new_segment: plan.new_segment && progress.next_idx == plan.range.start,
     };
     let stream = client.open_stream(open).await?;
     let wanted_idx = plan.placement.frame_idx(stream.session.next_sequence);

@@ -291,6 +291,7 @@ fn plan(placement: Placement) -> StreamPlan {
         range: 0..N_FRAMES,
         placement,
         take_over: false,
+        new_segment: false,
     }
 }
 

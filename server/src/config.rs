@@ -3,6 +3,7 @@
 //! Everything is read once, before a port opens, and checked by [`Config::validate`].
 
 use crate::network::{self, AccessConfig, ConnectionConfig, QuotaConfig, TlsConfig};
+use crate::storage::StorageConfig;
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -31,6 +32,8 @@ pub struct Config {
     pub limits: Limits,
     /// How sessions run.
     pub sessions: SessionConfig,
+    /// How the database is kept.
+    pub storage: StorageConfig,
     /// Who is let in.
     pub access: AccessConfig,
     /// Encryption.
@@ -41,6 +44,9 @@ pub struct Config {
     pub quotas: QuotaConfig,
     /// How the log is written.
     pub log: LogFormat,
+    /// What is in the log, in the words of `RUST_LOG`, such as `warn,audit=info`. That variable goes before it.
+    /// Default `info`.
+    pub log_filter: Option<String>,
 }
 
 /// What is refused, each with an error that says so.
@@ -49,6 +55,10 @@ pub struct Config {
 pub struct Limits {
     /// Largest gRPC message, bytes. Default 64 MiB: the largest raw color image with room to spare.
     pub max_message_bytes: usize,
+    /// Bytes of messages that are begun and not finished, or wait to be worked off, of all clients together; who
+    /// brings more waits, and is refused after five seconds. Default 256 MiB, four of the largest messages. Over
+    /// a WebSocket only complete messages count.
+    pub max_bytes_in_flight: usize,
     /// Largest image, pixels. Default 4096 * 3072. Checked before an image is decoded.
     pub max_image_pixels: u64,
     /// Sessions kept at most, loaded or not. Default 10 000.
@@ -63,6 +73,7 @@ impl Default for Limits {
     fn default() -> Self {
         Self {
             max_message_bytes: 64 << 20,
+            max_bytes_in_flight: 256 << 20,
             max_image_pixels: 4096 * 3072,
             max_sessions: 10_000,
             max_loaded_sessions: 64,
@@ -90,6 +101,17 @@ pub struct SessionConfig {
     /// as much memory as its map.
     #[serde(alias = "n_localisations")]
     pub n_localizations: usize,
+    /// How far a frame's sequence may be beyond the one that is expected; one further is refused. Default
+    /// 1 000 000 000: a year at 30 frames a second. What is more is no count of frames, and a few such leaps would
+    /// leave no numbers.
+    pub max_sequence_leap: u64,
+    /// Seconds a frame's time may be after that of the one before; one later is refused, unless it begins a new
+    /// segment. Default 31 622 400, a leap year: what is more comes from a clock that was set, and would keep the
+    /// session from going on once that is set right.
+    pub max_time_leap_s: f64,
+    /// Seconds that are spent on locating a single image, its turn not counted. Default 10: a large map is read and
+    /// searched in two.
+    pub localize_timeout_s: f64,
     /// Seconds after which a stream that sends nothing gives up its session's place in memory when another
     /// session needs one. Default 30: a camera that sends less than a frame in half a minute maps nothing.
     pub idle_stream_s: f64,
@@ -104,6 +126,9 @@ impl Default for SessionConfig {
             keep_keyframe_images: true,
             save_retry_s: 1.0,
             n_localizations: 1,
+            localize_timeout_s: 10.0,
+            max_sequence_leap: 1_000_000_000,
+            max_time_leap_s: 31_622_400.0,
             idle_stream_s: 30.0,
         }
     }
@@ -146,11 +171,13 @@ impl Default for Config {
             shutdown_grace_s: 30.0,
             limits: Limits::default(),
             sessions: SessionConfig::default(),
+            storage: StorageConfig::default(),
             access: AccessConfig::default(),
             tls: TlsConfig::default(),
             connections: ConnectionConfig::default(),
             quotas: QuotaConfig::default(),
             log: LogFormat::default(),
+            log_filter: None,
         }
     }
 }
@@ -288,10 +315,21 @@ impl Config {
             ("sessions.idle_unload_s", self.sessions.idle_unload_s),
             ("sessions.save_retry_s", self.sessions.save_retry_s),
             ("sessions.idle_stream_s", self.sessions.idle_stream_s),
+            ("sessions.localize_timeout_s", self.sessions.localize_timeout_s),
         ];
         for (field, seconds) in spans {
             ensure!((0.0..=1e6).contains(&seconds), "{field} is {seconds} but must be 0 to 1000000 seconds");
         }
+        let (leap, time_leap_s) = (self.sessions.max_sequence_leap, self.sessions.max_time_leap_s);
+        ensure!(
+            (1..=1 << 62).contains(&leap),
+            "sessions.max_sequence_leap is {leap} but must be 1 to {}",
+            1_u64 << 62
+        );
+        ensure!(
+            (1.0..=4e9).contains(&time_leap_s),
+            "sessions.max_time_leap_s is {time_leap_s} but must be 1 to 4000000000 seconds"
+        );
         let counts = [
             ("sessions.lossless_queue_frames", self.sessions.lossless_queue_frames),
             ("sessions.realtime_queue_frames", self.sessions.realtime_queue_frames),
@@ -302,8 +340,18 @@ impl Config {
             ensure!((1..=65_536).contains(&count), "{field} is {count} but must be 1 to 65536");
         }
         network::validate(&self.access, &self.tls, &self.connections, &self.quotas)?;
+        self.storage.validate()?;
+        if let Some(filter) = &self.log_filter {
+            let parsed = tracing_subscriber::EnvFilter::try_new(filter);
+            parsed.map_err(|error| anyhow::anyhow!("log_filter: {filter:?} cannot be used: {error}"))?;
+        }
         let bytes = self.limits.max_message_bytes;
         ensure!(bytes >= 1 << 16, "limits.max_message_bytes is {bytes} but must be at least 65536");
+        let in_flight = self.limits.max_bytes_in_flight;
+        ensure!(
+            in_flight >= bytes,
+            "limits.max_bytes_in_flight is {in_flight} but must be at least limits.max_message_bytes, which is {bytes}"
+        );
         Ok(())
     }
 

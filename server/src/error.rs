@@ -38,6 +38,8 @@ pub enum ErrorCode {
     NotAvailable,
     /// As many such requests are under way as the server takes.
     TooBusy,
+    /// The answer was not there in the time that the server spends on one.
+    TookTooLong,
     /// A message is larger than the server takes.
     MessageTooLarge,
     /// The body is of a type that is not taken here.
@@ -48,6 +50,8 @@ pub enum ErrorCode {
     StorageFailed,
     /// The stored map cannot be used.
     DataLoss,
+    /// What is stored of the session is damaged; others are not affected.
+    SessionDamaged,
     /// The server is about to stop.
     ShuttingDown,
     /// The session's worker failed.
@@ -84,6 +88,7 @@ impl ErrorCode {
             Self::FrameNotFound => "FRAME_NOT_FOUND",
             Self::NotAvailable => "NOT_AVAILABLE",
             Self::TooBusy => "TOO_BUSY",
+            Self::TookTooLong => "TOOK_TOO_LONG",
             Self::NotFound => "NOT_FOUND",
             Self::MethodNotAllowed => "METHOD_NOT_ALLOWED",
             Self::SessionExists => "SESSION_EXISTS",
@@ -96,6 +101,7 @@ impl ErrorCode {
             Self::StorageFull => "STORAGE_FULL",
             Self::StorageFailed => "STORAGE_FAILED",
             Self::DataLoss => "DATA_LOSS",
+            Self::SessionDamaged => "SESSION_DAMAGED",
             Self::ShuttingDown => "SHUTTING_DOWN",
             Self::SessionFailed => "SESSION_FAILED",
             Self::Unauthenticated => "UNAUTHENTICATED",
@@ -121,6 +127,7 @@ impl ErrorCode {
             Self::FrameNotFound => "The frame is not kept, or no longer",
             Self::NotAvailable => "Not available in this version",
             Self::TooBusy => "Too much is asked at once",
+            Self::TookTooLong => "It took too long",
             Self::NotFound => "No such path",
             Self::MethodNotAllowed => "The path does not take this method",
             Self::SessionExists => "The session exists already",
@@ -132,7 +139,7 @@ impl ErrorCode {
             Self::UnsupportedMediaType => "The body is of a type that is not taken here",
             Self::StorageFull => "The storage is full",
             Self::StorageFailed => "The storage failed",
-            Self::DataLoss => "The stored map is damaged",
+            Self::DataLoss | Self::SessionDamaged => "The stored map is damaged",
             Self::ShuttingDown => "The server is shutting down",
             Self::SessionFailed => "The session failed",
             Self::Unauthenticated => "A token is needed",
@@ -171,8 +178,9 @@ impl ErrorCode {
             | Self::TooManyConnections
             | Self::MessageTooLarge
             | Self::StorageFull => Code::ResourceExhausted,
+            Self::TookTooLong => Code::DeadlineExceeded,
             Self::StorageFailed | Self::ShuttingDown => Code::Unavailable,
-            Self::DataLoss => Code::DataLoss,
+            Self::DataLoss | Self::SessionDamaged => Code::DataLoss,
             Self::SessionFailed | Self::Internal => Code::Internal,
         }
     }
@@ -203,10 +211,12 @@ impl ErrorCode {
             Self::MessageTooLarge => StatusCode::PAYLOAD_TOO_LARGE,
             Self::UnsupportedMediaType => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             Self::StorageFull => StatusCode::INSUFFICIENT_STORAGE,
-            Self::StorageFailed | Self::ShuttingDown | Self::TooManyConnections => {
+            Self::StorageFailed | Self::ShuttingDown | Self::TooManyConnections | Self::TookTooLong => {
                 StatusCode::SERVICE_UNAVAILABLE
             }
-            Self::DataLoss | Self::SessionFailed | Self::Internal => StatusCode::INTERNAL_SERVER_ERROR,
+            Self::DataLoss | Self::SessionDamaged | Self::SessionFailed | Self::Internal => {
+                StatusCode::INTERNAL_SERVER_ERROR
+            }
         }
     }
 }

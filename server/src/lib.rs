@@ -14,9 +14,12 @@
 //! ```
 
 pub mod access;
+mod budget;
 mod clock;
 mod config;
 mod connections;
+mod current;
+mod data;
 mod error;
 pub mod grpc;
 mod ids;
@@ -24,6 +27,7 @@ pub mod maps;
 mod model;
 pub mod network;
 mod options;
+mod outage;
 mod page;
 mod quick_share;
 pub mod rest;
@@ -31,24 +35,28 @@ mod server;
 mod service;
 pub mod session;
 mod shutdown;
+mod soundness;
+mod storage;
 mod telemetry;
 mod tokens;
+mod upkeep;
 mod watch;
 
 pub use clock::SystemClock;
 pub use config::{Config, ConfigArgs, Limits, LogFormat, SessionConfig};
+pub use data::{DATABASE_FILE, open_store, open_store_beside};
 pub use error::{ApiError, ErrorCode, FieldViolation};
 pub use model::{Camera, Model, Pose, Scale, State, Units};
 pub use options::{SessionOptions, camera_warnings, is_of_size_alone};
 pub use page::{DEFAULT_PAGE_SIZE, MAX_PAGE_SIZE, Page, PageRequest};
 pub use quick_share::QuickShare;
 pub use rest::viewer_file;
-pub use server::{
-    DATABASE_FILE, Running, Server, Shutdown, compact, open_store, open_store_beside, open_store_to_read,
-};
+pub use server::{Running, Server, Shutdown};
 pub use service::{NewSession, Service};
 pub use session::SessionView;
 pub use shutdown::{Hangups, requested as shutdown_requested};
+pub use storage::{StorageConfig, Synchronous};
 pub use telemetry::start_log;
 pub use tokens::TokenCommand;
+pub use upkeep::UpkeepCommand;
 pub use watch::{Watched, watch};

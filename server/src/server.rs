@@ -1,25 +1,20 @@
 //! A running server: two ports, one service, one database.
 
 use crate::config::Config;
-use crate::connections::{Certificates, Opening, Table, raise_file_limit};
+use crate::connections::{Certificates, Meter, Opening, Table, raise_file_limit};
+use crate::current::Changes;
+use crate::data::{DataLock, open_store};
 use crate::service::Service;
-use crate::{grpc, rest};
+use crate::soundness::Soundness;
+use crate::{grpc, rest, telemetry};
 use anyhow::Context;
-use std::fs::{File, TryLockError};
 use std::net::SocketAddr;
-use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
-use store::{Store, StoreOptions, TokenRecord};
+use store::{Store, TokenRecord};
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::{CancellationToken, DropGuard};
-
-/// Name of the database in the data folder.
-pub const DATABASE_FILE: &str = "monoslam.sqlite";
-
-/// Locked in the data folder by the server that uses it.
-const LOCK_FILE: &str = "monoslam.lock";
 
 /// Starts servers. See [`Server::start`].
 #[derive(Debug)]
@@ -45,26 +40,30 @@ impl Server {
         let max_files = raise_file_limit();
         let tls = Certificates::of(&config.tls)?;
         let store = open_store(&config).await?;
+        let (closing, ended) = (CancellationToken::new(), CancellationToken::new());
         lock.lock_database(&config.data_dir)?;
         let grpc_listener = listen("grpc_addr", config.grpc_addr).await?;
         let http_listener = listen("http_addr", config.http_addr).await?;
         let (grpc_addr, http_addr) = (grpc_listener.local_addr()?, http_listener.local_addr()?);
         let grace = config.shutdown_grace();
         let table = Table::new(config.connections.clone(), max_files);
-        let service = Arc::new(Service::new(Arc::new(config), store.clone()).await?);
+        let soundness = Soundness::look(&config.storage, &store, &closing).await;
+        let service = Arc::new(Service::of_sound(Arc::new(config), store.clone(), soundness).await?);
         if let Some(guest) = guest {
             service.access().keys().admit_guest(guest);
         }
         let reach = [grpc_addr, http_addr].into_iter().find(|addr| !addr.ip().to_canonical().is_loopback());
         check_reach(&service, reach)?;
 
-        let (closing, ended) = (CancellationToken::new(), CancellationToken::new());
         tokio::spawn(service.access().clone().look_after(closing.clone()));
         tokio::spawn(table.clone().look_after(closing.clone(), ended.clone()));
         if let Some(certificates) = &tls {
             tokio::spawn(certificates.clone().look_after(closing.clone()));
         }
-        let opening = |listener| Opening { listener, tls: tls.clone(), table: table.clone() };
+        let max_bytes = service.config().limits.max_message_bytes;
+        let meter = Meter { budget: service.budget().clone(), max_bytes };
+        let opening =
+            |listener| Opening { listener, tls: tls.clone(), table: table.clone(), meter: meter.clone() };
         let grpc = grpc::serve(service.clone(), opening(grpc_listener), http_addr.port(), closing.clone());
         let http = rest::serve(rest::App::new(service.clone()), opening(http_listener), closing.clone());
         let tasks = vec![("gRPC", tokio::spawn(grpc)), ("HTTP", tokio::spawn(http))];
@@ -124,7 +123,25 @@ impl Running {
         &self.store
     }
 
-    /// Reads again what can change while the server runs: certificates and tokens.
+    /// Takes over what differs between the configuration as it was read before and as it is read now, as far as
+    /// that can change while the server runs, and logs what does and what does not.
+    pub fn reconfigure(&self, before: &Config, now: &Config) {
+        let changes = match self.service.reconfigure(before, now) {
+            Ok(changes) => changes,
+            Err(error) => return tracing::error!("the configuration from before holds: {error:#}"),
+        };
+        telemetry::refilter_log(&self.service.config());
+        let Changes { now, after_restart } = &changes;
+        if !now.is_empty() {
+            tracing::info!("the configuration has changed: {}", now.join(", "));
+        }
+        if !after_restart.is_empty() {
+            let fields = after_restart.join(", ");
+            tracing::warn!("changed, but held only once the server is started again: {fields}");
+        }
+    }
+
+    /// Reads again what can change while the server runs besides its configuration: certificates and tokens.
     pub async fn reload(&self) {
         if let Some(certificates) = &self.tls {
             certificates.reload();
@@ -193,111 +210,6 @@ async fn end_connections(tasks: Vec<Serving>, patience: Duration) {
             }
         }
     }
-}
-
-/// Held by who uses a data folder: two servers on one database would each believe to own its sessions.
-struct DataLock {
-    _folder: File,
-    _database: Option<File>,
-}
-
-impl DataLock {
-    /// Makes the data folder and locks it, and the database in it, if there is one: the lock's own file may
-    /// have been removed. SQLite's locks are of another kind and go beside this one.
-    fn take(folder: &Path) -> anyhow::Result<Self> {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make the folder {}", folder.display()))?;
-        let path = folder.join(LOCK_FILE);
-        let file = File::create(&path).with_context(|| format!("cannot make the file {}", path.display()))?;
-        lock(&file, &path)?;
-        let mut taken = Self { _folder: file, _database: None };
-        if folder.join(DATABASE_FILE).exists() {
-            taken.lock_database(folder)?;
-        }
-        Ok(taken)
-    }
-
-    /// Locks the database, unless that was done already. Not to be given up before the database is closed:
-    /// with any of its descriptors a process loses SQLite's locks.
-    fn lock_database(&mut self, folder: &Path) -> anyhow::Result<()> {
-        if self._database.is_none() {
-            let path = folder.join(DATABASE_FILE);
-            let file = File::open(&path).with_context(|| format!("cannot open {}", path.display()))?;
-            lock(&file, &path)?;
-            self._database = Some(file);
-        }
-        Ok(())
-    }
-}
-
-fn lock(file: &File, path: &Path) -> anyhow::Result<()> {
-    match file.try_lock() {
-        Ok(()) => Ok(()),
-        Err(TryLockError::WouldBlock) => {
-            let folder = path.parent().unwrap_or(path);
-            anyhow::bail!("another server uses the data in {}", folder.display())
-        }
-        Err(TryLockError::Error(error)) => {
-            Err(error).with_context(|| format!("cannot lock {}", path.display()))
-        }
-    }
-}
-
-/// Opens the database of a configuration; its folder must be there.
-///
-/// # Errors
-/// If the database cannot be opened.
-pub async fn open_store(config: &Config) -> anyhow::Result<Store> {
-    let path = config.data_dir.join(DATABASE_FILE);
-    let options = StoreOptions { max_bytes: config.limits.max_database_bytes, ..StoreOptions::default() };
-    Store::open(&path, options).await.with_context(|| format!("cannot open the database {}", path.display()))
-}
-
-/// As [`open_store`], also while a server uses the database; makes folder and database where there are none.
-///
-/// # Errors
-/// If the database cannot be opened.
-pub async fn open_store_beside(config: &Config) -> anyhow::Result<Store> {
-    let folder = &config.data_dir;
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    let path = folder.join(DATABASE_FILE);
-    let opened = Store::open_beside(&path, StoreOptions::default()).await;
-    opened.with_context(|| format!("cannot open the database {}", path.display()))
-}
-
-/// Opens the database of a configuration to read it; as it is, where it cannot be written. Whether that is
-/// so.
-///
-/// # Errors
-/// If the database cannot be opened.
-pub async fn open_store_to_read(config: &Config) -> anyhow::Result<(Store, bool)> {
-    let error = match open_store(config).await {
-        Ok(store) => return Ok((store, false)),
-        Err(error) => error,
-    };
-    if !error.downcast_ref::<store::StoreError>().is_some_and(store::StoreError::is_unwritable) {
-        return Err(error);
-    }
-    let path = config.data_dir.join(DATABASE_FILE);
-    let store = Store::open_unwritable(&path).await;
-    Ok((store.with_context(|| format!("cannot open the database {}", path.display()))?, true))
-}
-
-/// Gives the room of deleted sessions back to the file system. Bytes of the file before and after.
-///
-/// # Errors
-/// If a server uses the database, or there is no room beside it to write it anew.
-pub async fn compact(config: &Config) -> anyhow::Result<[u64; 2]> {
-    let _lock = DataLock::take(&config.data_dir)?;
-    // The limit is of what sessions may fill, and not of the copy that is made meanwhile.
-    let path = config.data_dir.join(DATABASE_FILE);
-    let store = Store::open(&path, StoreOptions::default())
-        .await
-        .with_context(|| format!("cannot open the database {}", path.display()))?;
-    let bytes = store.compact().await.context("the database cannot be written anew")?;
-    store.close().await?;
-    Ok(bytes)
 }
 
 async fn listen(field: &str, addr: SocketAddr) -> anyhow::Result<TcpListener> {

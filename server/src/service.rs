@@ -1,7 +1,9 @@
 //! What the server does, once for both interfaces.
 
 use crate::access::{self, Access, Caller, Change};
+use crate::budget::Budget;
 use crate::config::Config;
+use crate::current::{Changes, Current};
 use crate::error::{ApiError, ErrorCode};
 use crate::maps::{MapQueries, Observed, SceneParts};
 use crate::options::{SessionOptions, camera_to_begin_with, camera_warnings, engine_config};
@@ -10,10 +12,11 @@ use crate::session::{
     self, FrameQueue, LoadContext, Located, OpenRequest, Registry, Replies, Reply, SentImage, SessionId,
     SessionView, ShownFrame,
 };
+use crate::soundness::Soundness;
 use geometry::{Camera, CameraParameters};
 use std::sync::Arc;
 use std::time::Duration;
-use store::{SessionChanges, SessionRecord, Store, StoredImage};
+use store::{SessionChanges, SessionRecord, Store, StoreError, StoredImage};
 use tokio::sync::Semaphore;
 
 /// Smallest image side the front end can use, pixels.
@@ -29,15 +32,17 @@ const METRES_PER_UNIT: std::ops::RangeInclusive<f64> = 1e-6..=1e9;
 
 /// The one service behind gRPC and HTTP.
 pub struct Service {
-    config: Arc<Config>,
+    config: Current,
     store: Store,
     maps: MapQueries,
     registry: Registry,
     access: Arc<Access>,
+    soundness: Arc<Soundness>,
+    budget: Arc<Budget>,
     /// Sessions there are. Held while one is made, so that two at once cannot pass the limit.
     n_sessions: tokio::sync::Mutex<u64>,
     /// Single images that may be located at the same time.
-    localizations: Semaphore,
+    localizations: Arc<Semaphore>,
 }
 
 /// A session to be made.
@@ -57,18 +62,54 @@ impl Service {
     /// # Errors
     /// If the database cannot be read.
     pub async fn new(config: Arc<Config>, store: Store) -> Result<Self, ApiError> {
-        let registry = Registry::new(config.clone(), store.clone());
+        Self::of_sound(config, store, Arc::default()).await
+    }
+
+    /// As [`Self::new`], with what is known of damage in the database.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub(crate) async fn of_sound(
+        config: Arc<Config>,
+        store: Store,
+        soundness: Arc<Soundness>,
+    ) -> Result<Self, ApiError> {
+        let current = Current::new(config.clone());
+        let registry = Registry::new(current.clone(), store.clone());
         let access = Access::new(config.access.clone(), config.quotas.clone(), store.clone()).await;
         let access = access.map_err(|error| ApiError::internal(format!("{error:#}")))?;
         let n_sessions = tokio::sync::Mutex::new(store.count_sessions_of("").await?);
-        let localizations = Semaphore::new(config.sessions.n_localizations);
+        let localizations = Arc::new(Semaphore::new(config.sessions.n_localizations));
         let maps = MapQueries::new(store.clone(), config.data_dir.clone(), config.decode_limits());
-        Ok(Self { config, store, maps, registry, access, n_sessions, localizations })
+        let budget = Arc::new(Budget::new(config.limits.max_bytes_in_flight));
+        Ok(Self {
+            config: current,
+            store,
+            maps,
+            registry,
+            access,
+            soundness,
+            budget,
+            n_sessions,
+            localizations,
+        })
     }
 
-    /// The session's options.
-    pub fn config(&self) -> &Config {
-        &self.config
+    /// The configuration as it is now.
+    pub fn config(&self) -> Arc<Config> {
+        self.config.get()
+    }
+
+    /// Takes over what differs between the configuration as it was read before and as it is read now, as far as
+    /// that can change while the server runs.
+    ///
+    /// # Errors
+    /// As [`Current::change`].
+    pub(crate) fn reconfigure(&self, before: &Config, now: &Config) -> anyhow::Result<Changes> {
+        let changes = self.config.change(before, now)?;
+        let config = self.config();
+        self.access.reconfigure(&config.access, &config.quotas);
+        Ok(changes)
     }
 
     /// What can be asked of maps.
@@ -94,10 +135,10 @@ impl Service {
         self.registry.check_open()?;
         let NewSession { id, camera, options } = new;
         let (camera, options) = camera_to_begin_with(camera, options);
-        check_image_size(&camera, self.config.limits.max_image_pixels)?;
+        check_image_size(&camera, self.config().limits.max_image_pixels)?;
         let camera = check_camera(camera)?;
         engine_config(&options)?;
-        let limit = self.config.limits.max_sessions;
+        let limit = self.config().limits.max_sessions;
         let mut n_sessions = self.n_sessions.lock().await;
         if *n_sessions >= limit {
             let sentence =
@@ -153,6 +194,7 @@ impl Service {
         self.store.get_session(id.as_str()).await?;
         let delete = async { Ok(self.store.delete_session(id.as_str()).await?) };
         self.registry.delete(id, delete).await?;
+        self.soundness.forget(id.as_str());
         let mut n_sessions = self.n_sessions.lock().await;
         *n_sessions = n_sessions.saturating_sub(1);
         access::record(caller, Change::Deleted, id);
@@ -217,15 +259,28 @@ impl Service {
     pub async fn localize(&self, id: &SessionId, image: SentImage) -> Result<Located, ApiError> {
         self.registry.check_open()?;
         self.store.get_session(id.as_str()).await?;
-        let turn = tokio::time::timeout(LOCALIZATION_PATIENCE, self.localizations.acquire()).await;
-        let _turn = turn
+        self.soundness.require_sound(id.as_str())?;
+        let asked = self.localizations.clone().acquire_owned();
+        let turn = tokio::time::timeout(LOCALIZATION_PATIENCE, asked).await;
+        let turn = turn
             .map_err(|_elapsed| {
                 let sentence = "as many images are being located as this server takes; try again later";
                 ApiError::new(ErrorCode::TooBusy, sentence)
             })?
             .map_err(ApiError::internal)?;
+        let config = self.config();
+        let limit_s = config.sessions.localize_timeout_s;
         let context = LoadContext { store: &self.store, id };
-        session::localize(&context, image, self.config.decode_limits()).await
+        let locating = session::localize(&context, image, config.decode_limits(), turn);
+        let located = tokio::time::timeout(Duration::from_secs_f64(limit_s), locating).await;
+        let located = located.map_err(|_elapsed| {
+            let sentence = format!(
+                "the image was not located within {limit_s} s, which is what this server spends on one \
+                 (sessions.localize_timeout_s)"
+            );
+            ApiError::new(ErrorCode::TookTooLong, sentence)
+        })?;
+        located.inspect_err(|error| self.note_damage(id, error))
     }
 
     /// The map as a viewer draws it: what changed since a revision, or, where that is not known any more,
@@ -287,8 +342,10 @@ impl Service {
     ) -> Result<Arc<FrameQueue>, ApiError> {
         let id = request.id.clone();
         self.store.get_session(id.as_str()).await?;
+        self.soundness.require_sound(id.as_str())?;
         check_stored_bytes(&self.store, caller).await?;
-        let queue = self.registry.open_stream(request, replies.clone()).await?;
+        let queue = self.registry.open_stream(request, replies.clone()).await;
+        let queue = queue.inspect_err(|error| self.note_damage(&id, error))?;
         if let Err(error) = caller.count_stream(&queue) {
             queue.abort(Err(error.clone()));
             return Err(error);
@@ -308,11 +365,28 @@ impl Service {
     /// Whether the database answers, and what is saved lasts.
     ///
     /// # Errors
-    /// Why not.
-    pub async fn check_storage(&self) -> Result<(), ApiError> {
+    /// Why not. Nothing is logged: whoever asks does so again and again.
+    pub async fn check_storage(&self) -> Result<(), StoreError> {
         self.store.check_saving()?;
         self.store.list_sessions(None, 1).await?;
         Ok(())
+    }
+
+    /// Room for what clients send.
+    pub(crate) fn budget(&self) -> &Arc<Budget> {
+        &self.budget
+    }
+
+    /// What is known of damage in the database.
+    pub(crate) fn soundness(&self) -> &Soundness {
+        &self.soundness
+    }
+
+    /// A session that cannot be loaded for damage is closed, so that lists say so.
+    fn note_damage(&self, id: &SessionId, error: &ApiError) {
+        if error.code == ErrorCode::SessionDamaged {
+            self.soundness.close(id.as_str(), "its map cannot be loaded");
+        }
     }
 
     async fn check_room_for_session(&self, caller: &Caller) -> Result<(), ApiError> {
@@ -326,12 +400,13 @@ impl Service {
     }
 
     fn quota_check(&self) -> Duration {
-        Duration::from_secs_f64(self.config.quotas.check_s)
+        Duration::from_secs_f64(self.config().quotas.check_s)
     }
 
     fn view(&self, id: &SessionId, record: SessionRecord) -> SessionView {
         let loaded = self.registry.view(id);
-        SessionView { id: id.to_string(), ..SessionView::of(record, loaded) }
+        let damage = self.soundness.damage(id.as_str());
+        SessionView { id: id.to_string(), damage, ..SessionView::of(record, loaded) }
     }
 }
 

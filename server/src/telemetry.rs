@@ -1,25 +1,47 @@
 //! Logs and metrics.
 
-use crate::config::LogFormat;
+use crate::config::{Config, LogFormat};
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use std::io::IsTerminal;
 use std::sync::OnceLock;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::layer::{Layer, SubscriberExt};
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, fmt, reload};
 
 /// Upper bounds of the time histograms, seconds: from a fast stage to a frame that is far too slow.
 const TIME_BUCKETS_S: [f64; 12] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.033, 0.05, 0.1, 0.25, 1.0, 5.0];
 
-/// Writes the log to standard error, `info` and above unless `RUST_LOG` says otherwise.
-pub fn start_log(format: LogFormat) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    let colors = std::io::stderr().is_terminal();
-    let builder =
-        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colors);
-    // A log that is already set up, as in a test, stays.
-    let _ = match format {
-        LogFormat::Text => builder.try_init(),
-        LogFormat::Json => builder.json().try_init(),
+/// Changes what is in the log.
+type Refilter = Box<dyn Fn(EnvFilter) + Send + Sync>;
+
+/// Set once the log has been started here.
+static REFILTER: OnceLock<Refilter> = OnceLock::new();
+
+/// Writes the log to standard error: what `RUST_LOG` says, else the configuration, else `info` and above.
+pub fn start_log(config: &Config) {
+    let (filter, handle) = reload::Layer::new(filter_of(config));
+    let lines = fmt::layer().with_writer(std::io::stderr).with_ansi(std::io::stderr().is_terminal());
+    let lines = match config.log {
+        LogFormat::Text => lines.boxed(),
+        LogFormat::Json => lines.json().boxed(),
     };
+    // A log that is already set up, as in a test, stays.
+    if tracing_subscriber::registry().with(filter).with(lines).try_init().is_ok() {
+        let _ = REFILTER.set(Box::new(move |filter| drop(handle.reload(filter))));
+    }
+}
+
+/// Has a changed configuration's filter hold for the log.
+pub fn refilter_log(config: &Config) {
+    if let Some(refilter) = REFILTER.get() {
+        refilter(filter_of(config));
+    }
+}
+
+fn filter_of(config: &Config) -> EnvFilter {
+    let configured = config.log_filter.as_deref().and_then(|filter| EnvFilter::try_new(filter).ok());
+    let fallback = || configured.unwrap_or_else(|| EnvFilter::new("info"));
+    EnvFilter::try_from_default_env().unwrap_or_else(|_| fallback())
 }
 
 /// The process's metrics, as Prometheus reads them. Servers in one process share them.

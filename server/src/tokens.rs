@@ -3,7 +3,7 @@
 use crate::access::{Role, new_token, token_hash};
 use crate::clock::since_1970_ns;
 use crate::config::Config;
-use crate::server::open_store_beside;
+use crate::data::open_store_beside;
 use crate::session::is_name;
 use anyhow::Context;
 use clap::{Args, Subcommand, ValueEnum};

@@ -73,7 +73,14 @@ impl Store {
                 .await?;
         let number = number.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?;
         transaction.commit().await?;
-        self.clear_session(number).await
+        match self.clear_session(number).await {
+            // It is gone from every list; what cannot be read of it stays in the file.
+            Err(StoreError::Corrupt(what)) => {
+                tracing::error!("a deleted session cannot be cleared away, its rows are damaged: {what}");
+                Ok(())
+            }
+            cleared => cleared,
+        }
     }
 
     /// Finishes deletions that were interrupted.

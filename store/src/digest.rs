@@ -38,7 +38,7 @@ impl fmt::Display for Digest {
 
 /// Every table with every column but the session's number and name and wall-clock time, ordered by key.
 /// Parameter 1 is the session's number, 2 the mask of a point's id in a key.
-const TABLES: [(&str, &str); 12] = [
+const TABLES: [(&str, &str); 13] = [
     (
         "sessions",
         "SELECT camera, options, state, last_sequence, last_timestamp_ns, last_keyframe_id, last_point_id, last_line_id,
@@ -95,6 +95,10 @@ const TABLES: [(&str, &str); 12] = [
         "frames",
         "SELECT sequence, timestamp_ns, state, backfilled, submap, reference, qx, qy, qz, qw, tx, ty, tz
          FROM frames WHERE session = ?1 ORDER BY sequence",
+    ),
+    (
+        "segments",
+        "SELECT first_sequence, ahead_ns FROM segments WHERE session = ?1 ORDER BY first_sequence",
     ),
 ];
 

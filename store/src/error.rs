@@ -15,18 +15,6 @@ pub enum StoreError {
         /// Highest version known here.
         supported: i64,
     },
-    /// The database was written by an earlier version of this program and cannot be brought up to date where
-    /// it is.
-    #[error(
-        "the database has schema version {found}, and cannot be written to bring it to {supported}: copy it to where it \
-         can be"
-    )]
-    OlderSchema {
-        /// Version of the file.
-        found: i64,
-        /// The version of this program.
-        supported: i64,
-    },
     /// The file is a database of something else, or no database at all.
     #[error("{path} is not a map database")]
     NotAStore {
@@ -100,6 +88,9 @@ pub enum StoreError {
     /// A stored map contradicts itself.
     #[error(transparent)]
     Map(#[from] MapError),
+    /// It was told not to go on.
+    #[error("it was stopped before it ended")]
+    Stopped,
     /// The update contradicts what is stored; nothing of it was stored.
     #[error("the update contradicts the stored map")]
     Inconsistent(#[source] sqlx::Error),
@@ -121,6 +112,11 @@ impl StoreError {
         )
     }
 
+    /// Whether it says that what is stored is damaged.
+    pub fn is_of_damage(&self) -> bool {
+        matches!(self, Self::Corrupt(_) | Self::Map(_))
+    }
+
     /// Whether the database, or the folder that its log belongs in, cannot be written.
     pub fn is_unwritable(&self) -> bool {
         let error = match self {
@@ -136,6 +132,7 @@ impl StoreError {
 mod code {
     pub const BUSY: i32 = 5;
     pub const READONLY: i32 = 8;
+    pub const INTERRUPT: i32 = 9;
     pub const IOERR: i32 = 10;
     pub const CORRUPT: i32 = 11;
     pub const FULL: i32 = 13;
@@ -165,6 +162,16 @@ impl From<sqlx::Error> for StoreError {
 pub(crate) fn primary_code(error: &sqlx::Error) -> Option<i32> {
     let extended: i32 = error.as_database_error()?.code()?.parse().ok()?;
     Some(extended & 0xff)
+}
+
+/// Whether the error says that what is stored is damaged.
+pub(crate) fn is_damage(error: &sqlx::Error) -> bool {
+    matches!(primary_code(error), Some(code::CORRUPT | code::NOTADB))
+}
+
+/// Whether the error says that it was told to stop.
+pub(crate) fn is_interrupted(error: &sqlx::Error) -> bool {
+    primary_code(error) == Some(code::INTERRUPT)
 }
 
 /// Whether the error says that the file is no database.

@@ -48,6 +48,7 @@
 //! # }).unwrap();
 //! ```
 
+mod backup;
 mod blob;
 mod check;
 mod delete;
@@ -71,11 +72,13 @@ mod points;
 mod pose;
 mod primitives;
 mod save;
+mod segments;
 mod session;
 mod snapshot;
 mod tokens;
 mod trajectory;
 
+pub use backup::Verified;
 pub use check::Finding;
 pub use digest::{Digest, TableDigest};
 pub use error::StoreError;
@@ -91,6 +94,7 @@ pub use page::Page;
 pub use points::{Bounds, PointQuery};
 pub use primitives::PrimitiveRecord;
 pub use save::{Committed, KeyframeImage, SessionStatus};
+pub use segments::Segments;
 pub use session::{Calibration, NewSession, SessionChanges, SessionCounts, SessionOptions, SessionRecord};
 pub use snapshot::MapSnapshot;
 pub use tokens::{NewToken, TOKEN_HASH_BYTES, TokenQuotas, TokenRecord, TokenRole};

@@ -7,6 +7,7 @@ use crate::observations::enter_observations;
 use crate::points::{POINT_COLUMNS, parse_point};
 use crate::pose::{read_local_scale, read_pose, read_removed};
 use crate::primitives::read_primitives;
+use crate::segments::Segments;
 use crate::session::parse_session;
 use crate::{SessionRecord, Store, StoreError};
 use geometry::Camera;
@@ -27,8 +28,10 @@ const LANDMARKS_PER_STEP: i64 = 4096;
 pub struct LoadedSession {
     /// The session.
     pub record: SessionRecord,
-    /// Its map and its last frame.
+    /// Its map and its last frame, with the engine's times.
     pub resume: ResumeState,
+    /// By how much those are ahead of the client's.
+    pub segments: Segments,
 }
 
 impl Store {
@@ -52,7 +55,12 @@ impl Store {
         let settings =
             FeatureSettings { pinhole: working_camera.nominal_pinhole(), pyramid: config.pyramid() };
 
-        let keyframes = read_keyframes(&mut transaction, number, Arc::new(working_camera), settings).await?;
+        let segments = Segments::read(&mut transaction, number).await?;
+        let mut keyframes =
+            read_keyframes(&mut transaction, number, Arc::new(working_camera), settings).await?;
+        for keyframe in &mut keyframes {
+            keyframe.timestamp_ns = segments.engine_ns(keyframe.sequence, keyframe.timestamp_ns);
+        }
         let points = read_landmarks(&mut transaction, number, ("points", POINT_COLUMNS), parse_point).await?;
         let lines = read_landmarks(&mut transaction, number, ("lines", LINE_COLUMNS), parse_line).await?;
         let primitives = read_primitives(&mut transaction, number).await?;
@@ -74,8 +82,9 @@ impl Store {
             },
         };
         let map = blocking(move || enter_observations(parts)).await?;
-        let resume = ResumeState { map, last_frame: record.last_frame };
-        Ok(LoadedSession { record, resume })
+        let engine_ns = |(sequence, timestamp_ns)| (sequence, segments.engine_ns(sequence, timestamp_ns));
+        let resume = ResumeState { map, last_frame: record.last_frame.map(engine_ns) };
+        Ok(LoadedSession { record, resume, segments })
     }
 }
 

@@ -131,7 +131,13 @@ impl Store {
     /// if it is something else; neither is touched.
     pub async fn open(path: impl AsRef<Path>, options: StoreOptions) -> Result<Self, StoreError> {
         let store = Self::open_beside(path, options).await?;
-        store.clear_deleted_sessions().await?;
+        match store.clear_deleted_sessions().await {
+            // What is damaged in a session that nobody wants any more keeps nobody from the others.
+            Err(StoreError::Corrupt(what)) => {
+                tracing::error!("a deleted session cannot be cleared away, its rows are damaged: {what}");
+            }
+            cleared => cleared?,
+        }
         Ok(store)
     }
 
@@ -161,26 +167,17 @@ impl Store {
         Ok(Self { writer, readers, path, place })
     }
 
-    /// Opens a database that cannot be written, such as a copy on a medium that is not to be changed, to read
-    /// it as it is. What is still in its log and not in the file is not seen.
-    ///
-    /// # Errors
-    /// [`StoreError::OlderSchema`] if an earlier version of this program wrote it: it would have to be
-    /// written to be brought up to date. Else as [`Store::open`].
-    pub async fn open_unwritable(path: impl AsRef<Path>) -> Result<Self, StoreError> {
-        let path = path.as_ref().to_path_buf();
-        let options = StoreOptions::default();
-        let connection = reading(&path, &options).immutable(true);
-        let found = schema_of(&path, &connection).await?;
-        let supported = Self::schema_version();
-        if found != Some(supported) {
-            return Err(StoreError::OlderSchema { found: found.unwrap_or(0), supported });
-        }
-        let pool = || {
-            SqlitePoolOptions::new().max_connections(options.n_readers).connect_lazy_with(connection.clone())
-        };
-        let place = Place::of(&path);
-        Ok(Self { writer: pool(), readers: pool(), path, place })
+    /// A store whose connections only read, opened when they are needed.
+    pub(crate) fn to_read(path: &Path, options: &SqliteConnectOptions) -> Self {
+        let n_readers = StoreOptions::default().n_readers;
+        let pool = || SqlitePoolOptions::new().max_connections(n_readers).connect_lazy_with(options.clone());
+        Self { writer: pool(), readers: pool(), path: path.to_owned(), place: Place::of(path) }
+    }
+
+    /// Ends the connections of a store that only reads.
+    pub(crate) async fn close_read(&self) {
+        self.readers.close().await;
+        self.writer.close().await;
     }
 
     /// Gives the room of what was deleted back to the file system: the file is written anew without it, for
@@ -283,7 +280,12 @@ fn writing(path: &Path, options: &StoreOptions) -> SqliteConnectOptions {
     quiet(base)
 }
 
-fn reading(path: &Path, options: &StoreOptions) -> SqliteConnectOptions {
+/// To read the file as it is, without its log, and without a trace beside it.
+pub(crate) fn whole_file(path: &Path) -> SqliteConnectOptions {
+    reading(path, &StoreOptions::default()).immutable(true)
+}
+
+pub(crate) fn reading(path: &Path, options: &StoreOptions) -> SqliteConnectOptions {
     quiet(SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(options.busy_timeout))
 }
 
@@ -300,7 +302,10 @@ async fn refuse_unknown_schema(path: &Path, options: &StoreOptions) -> Result<()
 }
 
 /// The schema's version; `None` of an empty file.
-async fn schema_of(path: &Path, options: &SqliteConnectOptions) -> Result<Option<i64>, StoreError> {
+pub(crate) async fn schema_of(
+    path: &Path,
+    options: &SqliteConnectOptions,
+) -> Result<Option<i64>, StoreError> {
     let not_a_store = || StoreError::NotAStore { path: path.display().to_string() };
     let mut connection = match SqliteConnection::connect_with(options).await {
         Ok(connection) => connection,

@@ -201,3 +201,47 @@ async fn a_message_over_the_limit_ends_the_stream_and_says_so() {
     assert_eq!(status.code(), Code::ResourceExhausted, "{status}");
     assert!(status.message().contains("65536"), "{status}");
 }
+
+#[tokio::test]
+async fn a_body_that_does_not_fit_beside_others_is_refused_and_may_come_again() {
+    let server = TestServer::start_with(|config| {
+        config.limits.max_message_bytes = 1 << 16;
+        config.limits.max_bytes_in_flight = 1 << 16;
+    })
+    .await;
+    create_session(&mut server.client().await, "s", camera(160, 120)).await.unwrap();
+    let addr = server.running().http_addr;
+    // Begun and not finished: it counts with its whole length.
+    let mut unfinished = tokio::net::TcpStream::connect(addr).await.unwrap();
+    let head =
+        format!("POST /v1/sessions/s/localize HTTP/1.1\r\nhost: {addr}\r\ncontent-length: 60000\r\n\r\n");
+    tokio::io::AsyncWriteExt::write_all(&mut unfinished, (head + "P5 ").as_bytes()).await.unwrap();
+    tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+    let send = || {
+        let url = format!("http://{addr}/v1/sessions/s/localize");
+        reqwest::Client::new().post(url).body(vec![0; 30_000]).send()
+    };
+    let refused = send().await.unwrap();
+    assert_eq!(refused.status(), 429);
+    assert!(refused.headers().contains_key("retry-after"));
+    let problem: serde_json::Value = refused.json().await.unwrap();
+    assert_eq!(problem["code"], "TOO_BUSY");
+    assert!(problem["detail"].as_str().unwrap().contains("as many as it may"), "{problem}");
+    drop(unfinished);
+    tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+    assert_eq!(send().await.unwrap().status(), 400, "it is read, and no image");
+}
+
+#[tokio::test]
+async fn locating_an_image_ends_in_time_and_the_next_one_has_its_turn() {
+    let server = TestServer::start_with(|config| config.sessions.localize_timeout_s = 1e-6).await;
+    let mut client = server.client().await;
+    create_session(&mut client, "s", camera(640, 480)).await.unwrap();
+    for _ in 0..3 {
+        let image = Some(png(640, 480, &vec![7; 640 * 480]));
+        let request = v1::LocalizeRequest { session_id: "s".into(), image };
+        let status = client.localize(request).await.unwrap_err();
+        assert_eq!(status.code(), Code::DeadlineExceeded, "{status}");
+        assert!(status.message().contains("localize_timeout_s"), "{status}");
+    }
+}

@@ -27,6 +27,7 @@ pub fn open_message(session_id: &str) -> v1::OpenStream {
         mode: v1::StreamMode::MapAndLocalize.into(),
         policy: v1::StreamPolicy::Lossless.into(),
         take_over: false,
+        new_segment: false,
     }
 }
 

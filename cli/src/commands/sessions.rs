@@ -101,6 +101,9 @@ fn table(sessions: &[v1::Session]) -> String {
 }
 
 fn state_name(session: &v1::Session) -> &'static str {
+    if session.damage.is_some() {
+        return "damaged";
+    }
     match session.state() {
         v1::TrackingState::Unspecified => "new",
         v1::TrackingState::Initialising => "initialising",
@@ -135,5 +138,6 @@ fn as_json(session: &v1::Session) -> Value {
         "next_sequence": session.next_sequence, "last_timestamp_ns": session.last_timestamp_ns,
         "last_timestamp_ns_text": session.last_timestamp_ns.map(|ns| ns.to_string()),
         "metres_per_unit": session.metres_per_unit, "loaded": session.loaded, "has_writer": session.has_writer,
+        "damage": session.damage,
     })
 }

@@ -90,6 +90,10 @@ pub struct Session {
     /// while the calibration is used as it was given.
     #[prost(message, optional, tag = "18")]
     pub refined_camera: ::core::option::Option<Camera>,
+    /// What of it is damaged in the database, so that it can neither be streamed into nor located in: restore a backup of the
+    /// database, or delete the session. Absent if nothing is known to be.
+    #[prost(string, optional, tag = "19")]
+    pub damage: ::core::option::Option<::prost::alloc::string::String>,
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct CreateSessionRequest {
@@ -336,6 +340,10 @@ pub struct OpenStream {
     /// Ends the stream of the present writer, if there is one, instead of being refused.
     #[prost(bool, tag = "4")]
     pub take_over: bool,
+    /// Begins a new segment with the first new frame: its time may be any, before or after those of earlier frames, as after
+    /// a clock was set. Sequence numbers go on. The camera is looked for in the map as after a long pause.
+    #[prost(bool, tag = "5")]
+    pub new_segment: bool,
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Frame {

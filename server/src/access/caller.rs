@@ -52,7 +52,7 @@ struct Identity {
     quotas: TokenQuotas,
     /// Cancelled when the token is good for nothing any more.
     revoked: CancellationToken,
-    streams: Mutex<Vec<Weak<FrameQueue>>>,
+    streams: Arc<Mutex<Vec<Weak<FrameQueue>>>>,
     frame_rate: Option<FrameRate>,
 }
 
@@ -76,6 +76,17 @@ impl Caller {
         Self::new(&token.name, role, token.owner.clone(), quotas)
     }
 
+    /// The same caller with other quotas: it is revoked with this one, and its streams are counted together.
+    pub fn with_quotas(&self, record: &TokenRecord, defaults: &QuotaConfig) -> Self {
+        let Self(mut identity) = Self::of(record, defaults);
+        // Nobody else has it yet.
+        if let Some(identity) = Arc::get_mut(&mut identity) {
+            identity.revoked = self.0.revoked.clone();
+            identity.streams = self.0.streams.clone();
+        }
+        Self(identity)
+    }
+
     fn new(name: &str, role: Role, owner: Option<String>, quotas: TokenQuotas) -> Self {
         Self(Arc::new(Identity {
             name: name.to_owned(),
@@ -83,7 +94,7 @@ impl Caller {
             owner,
             quotas,
             revoked: CancellationToken::new(),
-            streams: Mutex::default(),
+            streams: Arc::default(),
             frame_rate: quotas.max_frames_per_s.map(FrameRate::new),
         }))
     }

@@ -12,13 +12,13 @@ use crate::network::{AccessConfig, QuotaConfig, span};
 use axum::body::Body;
 use axum::extract::{Request, State};
 use axum::http::header::AUTHORIZATION;
-use axum::http::{HeaderMap, Method};
+use axum::http::{HeaderMap, HeaderValue, Method};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::StreamExt;
 use http_body::Frame;
 use http_body_util::{BodyStream, StreamBody};
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 use store::Store;
 use tokio_util::sync::CancellationToken;
@@ -32,7 +32,7 @@ pub struct Access {
     keys: Arc<Keys>,
     tickets: Tickets,
     rates: RequestRates,
-    pages: Pages,
+    pages: RwLock<Arc<Pages>>,
     open: Caller,
 }
 
@@ -54,7 +54,7 @@ impl Access {
         let keys = Arc::new(Keys::new(store, quotas).await?);
         let tickets = Tickets::new(span(config.ticket_s))?;
         let rates = RequestRates::new(config.requests_per_s, config.request_burst);
-        let pages = Pages::new(&config.hosts, &config.cors_origins);
+        let pages = RwLock::new(Arc::new(Pages::new(&config.hosts, &config.cors_origins)));
         Ok(Arc::new(Self { config, keys, tickets, rates, pages, open: Caller::open() }))
     }
 
@@ -63,7 +63,23 @@ impl Access {
         &self.keys
     }
 
-    /// The configuration.
+    /// Takes over which pages may ask, and what each token may use, from a changed configuration.
+    pub fn reconfigure(&self, config: &AccessConfig, quotas: &QuotaConfig) {
+        let pages = Arc::new(Pages::new(&config.hosts, &config.cors_origins));
+        *self.pages.write().unwrap_or_else(PoisonError::into_inner) = pages;
+        self.keys.set_quotas(quotas);
+    }
+
+    /// Whether pages of this origin may use the interface.
+    pub fn allows_origin(&self, origin: &HeaderValue) -> bool {
+        origin.to_str().is_ok_and(|origin| self.pages().allows(origin))
+    }
+
+    fn pages(&self) -> Arc<Pages> {
+        self.pages.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The configuration that the server started with.
     pub fn config(&self) -> &AccessConfig {
         &self.config
     }
@@ -99,7 +115,7 @@ impl Access {
         }
         if self.is_open_to(request) || (self.keys.is_open() && self.config.insecure) {
             if interface == Interface::Http {
-                self.pages.check_host(request.headers(), request.uri())?;
+                self.pages().check_host(request.headers(), request.uri())?;
             }
             return Ok(self.open.clone());
         }
@@ -144,7 +160,7 @@ impl Access {
             self.rates.count(&Asker::Token(caller.name().to_owned()))?;
         }
         if interface == Interface::Http && rules::is_changing(method, path) {
-            self.pages.check_origin(request.headers(), request.uri())?;
+            self.pages().check_origin(request.headers(), request.uri())?;
         }
         if caller.role() < role {
             let sentence = format!(

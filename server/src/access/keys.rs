@@ -3,6 +3,7 @@
 use super::Caller;
 use crate::clock::since_1970_ns;
 use crate::network::QuotaConfig;
+use crate::outage::Outage;
 use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use sha2::{Digest, Sha256};
@@ -34,7 +35,7 @@ pub fn token_hash(token: &str) -> Hash {
 /// See the module's documentation.
 pub struct Keys {
     store: Store,
-    quotas: QuotaConfig,
+    quotas: RwLock<QuotaConfig>,
     known: RwLock<Known>,
 }
 
@@ -67,9 +68,22 @@ impl Keys {
     /// # Errors
     /// If it cannot be read.
     pub async fn new(store: Store, quotas: QuotaConfig) -> Result<Self, StoreError> {
-        let keys = Self { store, quotas, known: RwLock::default() };
+        let keys = Self { store, quotas: RwLock::new(quotas), known: RwLock::default() };
         keys.refresh().await?;
         Ok(keys)
+    }
+
+    /// What tokens may use that were made without numbers of their own. Holds for those that are in use as well:
+    /// what they have used so far counts.
+    pub fn set_quotas(&self, quotas: &QuotaConfig) {
+        quotas.clone_into(&mut self.quotas.write().unwrap_or_else(PoisonError::into_inner));
+        for key in self.write().by_hash.values_mut() {
+            key.caller = key.caller.with_quotas(&key.record, quotas);
+        }
+    }
+
+    fn quotas(&self) -> QuotaConfig {
+        self.quotas.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Whether nobody needs a token because there never was one.
@@ -100,7 +114,7 @@ impl Keys {
 
     /// Takes a token for as long as this process runs.
     pub fn admit_guest(&self, record: TokenRecord) {
-        let caller = Caller::of(&record, &self.quotas);
+        let caller = Caller::of(&record, &self.quotas());
         let (hash, id, expires_at_ns) = (record.token.hash, record.id, record.token.expires_at_ns);
         self.write().guests.insert(hash, Key { id, expires_at_ns, record, caller });
     }
@@ -124,7 +138,7 @@ impl Keys {
             let hash = record.token.hash;
             // Who was known stays the same: what it uses is counted there.
             let same = before.remove(&hash).filter(|key| key.record.token == record.token);
-            let caller = same.map_or_else(|| Caller::of(&record, &self.quotas), |key| key.caller);
+            let caller = same.map_or_else(|| Caller::of(&record, &self.quotas()), |key| key.caller);
             let (id, expires_at_ns) = (record.id, record.token.expires_at_ns);
             let key = Key { id, expires_at_ns, record, caller };
             if !key.is_good(now_ns) {
@@ -138,10 +152,9 @@ impl Keys {
 
     /// Reads the tokens anew again and again, until `closing`.
     pub async fn look_after(self: Arc<Self>, every: Duration, closing: CancellationToken) {
+        let mut outage = Outage::new("the tokens cannot be read, those from before hold");
         while tokio::time::timeout(every, closing.cancelled()).await.is_err() {
-            if let Err(error) = self.refresh().await {
-                tracing::error!("the tokens cannot be read, those from before hold: {error}");
-            }
+            outage.note(&self.refresh().await);
         }
     }
 

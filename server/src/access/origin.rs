@@ -45,6 +45,11 @@ impl Pages {
         Err(ApiError::new(ErrorCode::WrongHost, sentence))
     }
 
+    /// Whether a foreign origin was allowed.
+    pub fn allows(&self, origin: &str) -> bool {
+        self.origins.iter().any(|allowed| allowed == origin)
+    }
+
     /// Checks whose page asks for a change or a stream.
     ///
     /// # Errors
@@ -54,7 +59,7 @@ impl Pages {
         let origin = origin.to_str().unwrap_or_default();
         let host = text(headers, HOST).or_else(|| uri.authority().map(|authority| authority.as_str()));
         let is_own = origin.split_once("://").is_some_and(|(_, authority)| host == Some(authority));
-        if is_own || self.origins.iter().any(|allowed| allowed == origin) {
+        if is_own || self.allows(origin) {
             return Ok(());
         }
         let sentence =

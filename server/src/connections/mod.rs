@@ -7,12 +7,14 @@
 mod body;
 mod files;
 mod io;
+mod metered;
 mod refusal;
 mod serve;
 mod table;
 mod tls;
 
 pub use files::raise_file_limit;
+pub use metered::Meter;
 pub use serve::{Interface, Opening, Peer, Port, serve};
 pub use table::{Table, client_network};
 pub use tls::Certificates;

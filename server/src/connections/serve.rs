@@ -2,9 +2,11 @@
 
 use super::body::{Answer, Timed};
 use super::io::Socket;
+use super::metered::{Messages, Meter, Whole};
 use super::refusal::Refusals;
 use super::table::{Place, Table};
 use super::tls::Certificates;
+use crate::budget::Charges;
 use crate::network::span;
 use axum::Router;
 use axum::body::Body;
@@ -55,6 +57,8 @@ pub struct Opening {
     pub tls: Option<Arc<Certificates>>,
     /// Where connections are noted.
     pub table: Arc<Table>,
+    /// What the bytes of requests are counted against.
+    pub meter: Meter,
 }
 
 /// A port to serve.
@@ -67,6 +71,8 @@ pub struct Port {
     pub tls: Option<Arc<Certificates>>,
     /// Where connections are noted.
     pub table: Arc<Table>,
+    /// What the bytes of requests are counted against.
+    pub meter: Meter,
     /// Requests for these paths may stand still in the middle of their body, and end by themselves in a
     /// shutdown.
     pub patient_paths: &'static [&'static str],
@@ -74,7 +80,7 @@ pub struct Port {
 
 /// Serves a port until `closing`, then lets what is under way end.
 pub async fn serve(port: Port, router: Router, closing: CancellationToken) {
-    let Port { listener, interface, tls, table, patient_paths } = port;
+    let Port { listener, interface, tls, table, meter, patient_paths } = port;
     let refusals = Refusals::new();
     // Each connection keeps a sender, so that the channel ends when the last of them does.
     let (alive, mut all_gone) = mpsc::channel::<Infallible>(1);
@@ -109,6 +115,7 @@ pub async fn serve(port: Port, router: Router, closing: CancellationToken) {
             interface,
             peer,
             place,
+            meter: meter.clone(),
             patient_paths,
             router: router.clone(),
             closing: closing.clone(),
@@ -127,6 +134,7 @@ struct Connection {
     interface: Interface,
     peer: Peer,
     place: Arc<Place>,
+    meter: Meter,
     patient_paths: &'static [&'static str],
     router: Router,
     closing: CancellationToken,
@@ -195,13 +203,23 @@ impl Connection {
         request.extensions_mut().insert(self.peer);
         let is_patient = self.patient_paths.contains(&request.uri().path());
         let timeout = span(self.place.limits().body_timeout_s);
-        let closing = self.closing.clone();
-        let request = request.map(|body| {
-            if is_patient { Body::new(body) } else { Body::new(Timed::new(body, timeout, closing)) }
+        let charges = Charges::default();
+        // Whoever works off messages one by one gives their room back; the rest is kept until the answer begins.
+        request.extensions_mut().insert(charges.clone());
+        let kept = (!is_patient).then(|| charges.clone());
+        let (meter, interface, closing) = (self.meter.clone(), self.interface, self.closing.clone());
+        let request = request.map(|body| match interface {
+            Interface::Grpc if is_patient => Body::new(Messages::new(body, meter, charges, timeout)),
+            Interface::Grpc => {
+                let timed = Timed::new(body, timeout, closing);
+                Body::new(Messages::new(timed, meter, charges, timeout))
+            }
+            Interface::Http => Body::new(Whole::new(Timed::new(body, timeout, closing), meter, charges)),
         });
         let answered = self.router.clone().oneshot(request);
         async move {
             let response = answered.await?;
+            drop(kept);
             Ok(response.map(|body| Answer::new(body, in_flight)))
         }
     }

@@ -1,6 +1,7 @@
 //! Between the messages of the contract and the service's types.
 
 use crate::access::Caller;
+use crate::budget::Charge;
 use crate::error::{ApiError, FieldViolation};
 use crate::model::{Pose, Scale, Units};
 use crate::options::{SessionOptions, convert_options};
@@ -16,6 +17,7 @@ use proto::v1::session_event::Event;
 use proto::v1::stream_frames_response::Message;
 
 use slam::map::{FrameState, KeyframeId};
+use std::sync::Arc;
 use std::time::Instant;
 use store::MAX_SEQUENCE;
 use vision::decode::PixelFormat;
@@ -140,6 +142,7 @@ pub(super) fn session(view: &SessionView) -> v1::Session {
         last_timestamp_ns: view.last_timestamp_ns,
         metres_per_unit: view.metres_per_unit,
         refined_camera: view.refined_camera.as_ref().map(camera),
+        damage: view.damage.clone(),
     }
 }
 
@@ -188,11 +191,11 @@ pub(super) fn open_request(caller: &Caller, open: v1::OpenStream) -> Result<Open
         return Err(ApiError::invalid_fields(violations));
     }
     let id = caller.session(&open.session_id, "open.session_id")?;
-    Ok(OpenRequest { id, mode, policy, take_over: open.take_over })
+    Ok(OpenRequest { id, mode, policy, take_over: open.take_over, new_segment: open.new_segment })
 }
 
 /// A frame, or why it cannot be one.
-pub(super) fn frame(frame: v1::Frame) -> Result<SentFrame, Rejection> {
+pub(super) fn frame(frame: v1::Frame, charge: Option<Charge>) -> Result<SentFrame, Rejection> {
     let v1::Frame { sequence, timestamp_ns, image } = frame;
     let reject = |field, reason: &str, code| Rejection { sequence, field, reason: reason.to_owned(), code };
     if sequence > MAX_SEQUENCE {
@@ -204,7 +207,7 @@ pub(super) fn frame(frame: v1::Frame) -> Result<SentFrame, Rejection> {
     let Some(image) = sent_image(image) else {
         return Err(reject("image.encoding", "is none this server knows", "UNKNOWN_FORMAT"));
     };
-    Ok(SentFrame { sequence, timestamp_ns, image, arrived: Instant::now() })
+    Ok(SentFrame { sequence, timestamp_ns, image, arrived: Instant::now(), charge: charge.map(Arc::new) })
 }
 
 /// The image of a request to locate it.

@@ -46,7 +46,7 @@ fn stream_frames(request: v1::StreamFramesRequest) -> Result<(), ApiError> {
     match request.message {
         Some(Message::Open(open)) => convert::open_request(&Caller::open(), open).map(drop),
         Some(Message::Frame(frame)) => {
-            match convert::frame(frame) {
+            match convert::frame(frame, None) {
                 Ok(frame) => decode(&frame.image),
                 Err(rejection) => assert!(!rejection.reason.is_empty() && !rejection.code.is_empty()),
             }

@@ -8,9 +8,11 @@ mod maps;
 mod stream;
 
 use crate::access::{self, Caller, Door};
+use crate::budget::Charges;
 use crate::connections::{self, Interface, Opening, Port};
 use crate::error::ApiError;
 use crate::options::SessionOptions;
+use crate::outage::Outage;
 use crate::page::PageRequest;
 use crate::service::Service;
 use crate::session::SessionId;
@@ -56,16 +58,19 @@ pub(crate) async fn serve(
         .layer(axum::middleware::from_fn(deadline::keep))
         .layer(axum::middleware::from_fn_with_state(door, access::check))
         .layer(SetResponseHeaderLayer::overriding(HTTP_PORT_HEADER, HeaderValue::from(http_port)));
-    let Opening { listener, tls, table } = opening;
-    let port = Port { listener, interface: Interface::Grpc, tls, table, patient_paths: PATIENT };
+    let Opening { listener, tls, table, meter } = opening;
+    let port = Port { listener, interface: Interface::Grpc, tls, table, meter, patient_paths: PATIENT };
     connections::serve(port, router, closing).await;
     Ok(())
 }
 
 /// Says by the health service whether calls are taken and what they bring is saved, until `closing`.
 async fn report_health(service: Arc<Service>, reporter: HealthReporter, closing: CancellationToken) {
+    let mut log = Outage::new("nothing can be saved");
     while tokio::time::timeout(HEALTH_EVERY, closing.cancelled()).await.is_err() {
-        match service.check_storage().await {
+        let storage = service.check_storage().await;
+        log.note(&storage);
+        match storage {
             Ok(()) => reporter.set_serving::<SlamServiceServer<Handler>>().await,
             Err(_unsaved) => reporter.set_not_serving::<SlamServiceServer<Handler>>().await,
         }
@@ -257,7 +262,9 @@ impl SlamService for Handler {
         request: Request<tonic::Streaming<v1::StreamFramesRequest>>,
     ) -> Result<Response<Self::StreamFramesStream>, Status> {
         let caller = caller_of(&request)?;
-        Ok(Response::new(stream::start(self.service.clone(), caller, request.into_inner())))
+        // None where a request comes over no connection.
+        let charges = request.extensions().get::<Charges>().cloned().unwrap_or_default();
+        Ok(Response::new(stream::start(self.service.clone(), caller, request.into_inner(), charges)))
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::convert;
 use crate::access::Caller;
+use crate::budget::{Charge, Charges};
 use crate::error::{ApiError, ErrorCode};
 use crate::network::span;
 use crate::service::Service;
@@ -23,21 +24,21 @@ const MAX_WAITING_ANSWERS: usize = 16;
 pub type Answers = Pin<Box<dyn Stream<Item = Result<v1::StreamFramesResponse, Status>> + Send>>;
 
 /// Serves a stream in a task of its own: the client sees the headers of the answer at once.
-pub fn start(service: Arc<Service>, caller: Caller, requests: Streaming<v1::StreamFramesRequest>) -> Answers {
+pub fn start(
+    service: Arc<Service>,
+    caller: Caller,
+    requests: Streaming<v1::StreamFramesRequest>,
+    charges: Charges,
+) -> Answers {
     let (replies, answers) = mpsc::channel(MAX_WAITING_ANSWERS);
-    tokio::spawn(serve(service, caller, requests, replies));
+    tokio::spawn(serve(service, caller, Requests { requests, charges }, replies));
     Box::pin(ReceiverStream::new(answers).map(|reply: Result<Reply, ApiError>| match reply {
         Ok(reply) => Ok(convert::reply(reply)),
         Err(error) => Err(error.into()),
     }))
 }
 
-async fn serve(
-    service: Arc<Service>,
-    caller: Caller,
-    mut requests: Streaming<v1::StreamFramesRequest>,
-    replies: Replies,
-) {
+async fn serve(service: Arc<Service>, caller: Caller, mut requests: Requests, replies: Replies) {
     match open(&service, &caller, &mut requests, &replies).await {
         Ok(queue) => {
             // From here on the session alone holds the answers' channel, and its end is the end of the
@@ -58,14 +59,14 @@ async fn serve(
 async fn open(
     service: &Service,
     caller: &Caller,
-    requests: &mut Streaming<v1::StreamFramesRequest>,
+    requests: &mut Requests,
     replies: &Replies,
 ) -> Result<Arc<FrameQueue>, ApiError> {
     let patience = span(service.config().connections.body_timeout_s);
-    let first = tokio::time::timeout(patience, next(requests)).await.map_err(|_elapsed| {
+    let first = tokio::time::timeout(patience, requests.next()).await.map_err(|_elapsed| {
         ApiError::invalid("open", format!("the first message of a stream must come within {patience:?}"))
     })?;
-    let first = first?.map(|request| request.message);
+    let first = first?.map(|(request, _charge)| request.message);
     let Some(Some(Message::Open(open))) = first else {
         return Err(ApiError::invalid("open", "the first message of a stream must be `open`"));
     };
@@ -75,14 +76,10 @@ async fn open(
 }
 
 /// Queues frames until the client ends the stream or breaks the rules.
-async fn read_frames(
-    caller: &Caller,
-    requests: &mut Streaming<v1::StreamFramesRequest>,
-    queue: &FrameQueue,
-) -> Result<(), ApiError> {
-    while let Some(request) = next(requests).await? {
+async fn read_frames(caller: &Caller, requests: &mut Requests, queue: &FrameQueue) -> Result<(), ApiError> {
+    while let Some((request, charge)) = requests.next().await? {
         let item = match request.message {
-            Some(Message::Frame(frame)) => convert::frame(frame),
+            Some(Message::Frame(frame)) => convert::frame(frame, charge),
             Some(Message::Open(_)) => return Err(ApiError::invalid("open", "the stream is open already")),
             None => {
                 return Err(ApiError::invalid(
@@ -99,15 +96,27 @@ async fn read_frames(
     Ok(())
 }
 
-async fn next(
-    requests: &mut Streaming<v1::StreamFramesRequest>,
-) -> Result<Option<v1::StreamFramesRequest>, ApiError> {
-    requests.message().await.map_err(|status| match status.code() {
+/// What a client sends, with the room that it takes.
+struct Requests {
+    requests: Streaming<v1::StreamFramesRequest>,
+    charges: Charges,
+}
+
+impl Requests {
+    async fn next(&mut self) -> Result<Option<(v1::StreamFramesRequest, Option<Charge>)>, ApiError> {
+        let request = self.requests.message().await.map_err(unreadable)?;
+        Ok(request.map(|request| (request, self.charges.pop())))
+    }
+}
+
+fn unreadable(status: Status) -> ApiError {
+    match status.code() {
         Code::OutOfRange => {
             let sentence = format!("a message is larger than the server takes: {}", status.message());
             ApiError::new(ErrorCode::MessageTooLarge, sentence)
         }
+        Code::ResourceExhausted => ApiError::new(ErrorCode::TooBusy, status.message()),
         // Nobody reads this if the connection broke.
         _ => ApiError::invalid("message", format!("the stream cannot be read on: {}", status.message())),
-    })
+    }
 }

@@ -41,7 +41,16 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Body<T> {
     }
 }
 
+/// Why a body was not let in, if that is what keeps it from being read.
+fn refusal_in(error: &(dyn std::error::Error + 'static)) -> Option<ApiError> {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    causes.filter_map(|error| error.downcast_ref::<ApiError>()).next().cloned()
+}
+
 fn body_error(rejection: &JsonRejection) -> ApiError {
+    if let Some(refusal) = refusal_in(rejection) {
+        return refusal;
+    }
     if rejection.status() == StatusCode::PAYLOAD_TOO_LARGE {
         return ApiError::new(ErrorCode::MessageTooLarge, rejection.body_text());
     }
@@ -148,14 +157,14 @@ const FILE_TOO_LARGE: &str = "the image is larger than the server takes";
 async fn body_of(request: Request) -> Result<Bytes, ApiError> {
     Bytes::from_request(request, &()).await.map_err(|rejection| match rejection.status() {
         StatusCode::PAYLOAD_TOO_LARGE => ApiError::new(ErrorCode::MessageTooLarge, FILE_TOO_LARGE),
-        _ => ApiError::invalid("body", rejection.body_text()),
+        _ => refusal_in(&rejection).unwrap_or_else(|| ApiError::invalid("body", rejection.body_text())),
     })
 }
 
 async fn part_of(request: Request, wanted: &str) -> Result<Bytes, ApiError> {
     let refused = |error: MultipartError| match error.status() {
         StatusCode::PAYLOAD_TOO_LARGE => ApiError::new(ErrorCode::MessageTooLarge, FILE_TOO_LARGE),
-        _ => ApiError::invalid("body", error.body_text()),
+        _ => refusal_in(&error).unwrap_or_else(|| ApiError::invalid("body", error.body_text())),
     };
     let form = Multipart::from_request(request, &()).await;
     let mut form = form.map_err(|rejection| ApiError::invalid("body", rejection.body_text()))?;

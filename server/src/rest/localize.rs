@@ -72,7 +72,8 @@ impl From<Located> for Location {
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 415, description = "The body is said to be something else than an image", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 413, description = "The image is too large", body = ProblemDetails, content_type = "application/problem+json"),
-    (status = 429, description = "Too many wait", body = ProblemDetails, content_type = "application/problem+json")
+    (status = 429, description = "Too many wait", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 503, description = "It took too long", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn localize(
     State(app): State<App>,

@@ -21,13 +21,13 @@ mod system;
 mod tickets;
 mod trajectory;
 
-use crate::access::{self, Door};
+use crate::access::{self, Access, Door};
 use crate::connections::{self, Interface, Opening, Port};
 use crate::service::Service;
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
+use axum::http::Method;
 use axum::http::header::{AUTHORIZATION, CONTENT_TYPE, ETAG, IF_NONE_MATCH, LOCATION, RETRY_AFTER};
-use axum::http::{HeaderValue, Method};
 use metrics_exporter_prometheus::PrometheusHandle;
 use std::sync::Arc;
 use std::time::Duration;
@@ -126,9 +126,8 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
 /// process's own.
 pub fn router(app: App) -> Router {
     let access = app.service.access().clone();
-    let origins = &access.config().cors_origins;
     // Where no foreign page is let in, nothing is said about them.
-    let cors = option_layer((!origins.is_empty()).then(|| cors(origins)));
+    let cors = option_layer((!access.config().cors_origins.is_empty()).then(|| cors(access.clone())));
     let door = Door { access, interface: Interface::Http };
     let max_image_bytes = app.service.config().limits.max_message_bytes;
     let (router, document) = api(max_image_bytes).split_for_parts();
@@ -151,11 +150,10 @@ pub fn router(app: App) -> Router {
         .with_state(app)
 }
 
-/// Pages of these origins may use the interface, with tokens and without cookies.
-fn cors(origins: &[String]) -> CorsLayer {
-    let origins = origins.iter().filter_map(|origin| origin.parse::<HeaderValue>().ok());
+/// Pages of the origins that are allowed may use the interface, with tokens and without cookies.
+fn cors(access: Arc<Access>) -> CorsLayer {
     CorsLayer::new()
-        .allow_origin(AllowOrigin::list(origins))
+        .allow_origin(AllowOrigin::predicate(move |origin, _| access.allows_origin(origin)))
         .allow_methods([Method::GET, Method::POST, Method::PATCH, Method::DELETE])
         .allow_headers([AUTHORIZATION, CONTENT_TYPE, IF_NONE_MATCH])
         .expose_headers([ETAG, LOCATION, RETRY_AFTER])
@@ -170,8 +168,8 @@ pub fn openapi() -> utoipa::openapi::OpenApi {
 /// Serves HTTP until `closing`, then lets what is under way end.
 pub(crate) async fn serve(app: App, opening: Opening, closing: CancellationToken) -> anyhow::Result<()> {
     tokio::spawn(fold_metrics(app.metrics.clone(), closing.clone()));
-    let Opening { listener, tls, table } = opening;
-    let port = Port { listener, interface: Interface::Http, tls, table, patient_paths: &[] };
+    let Opening { listener, tls, table, meter } = opening;
+    let port = Port { listener, interface: Interface::Http, tls, table, meter, patient_paths: &[] };
     connections::serve(port, router(app), closing).await;
     Ok(())
 }

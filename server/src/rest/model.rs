@@ -85,6 +85,9 @@ pub struct Session {
     pub loaded: bool,
     /// Whether a writer is connected.
     pub has_writer: bool,
+    /// What of it is damaged, so that it cannot be streamed into: restore a backup or delete it. `null` if nothing
+    /// is known to be.
+    pub damage: Option<String>,
 }
 
 /// Some sessions in the order of their ids.
@@ -132,6 +135,7 @@ impl From<SessionView> for Session {
             last_timestamp_ns_text: view.last_timestamp_ns.map(|ns| ns.to_string()),
             loaded: view.loaded,
             has_writer: view.has_writer,
+            damage: view.damage,
         }
     }
 }

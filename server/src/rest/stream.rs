@@ -11,6 +11,7 @@ use super::extract::{AskedBy, Params};
 use super::model::Session;
 use super::{App, ProblemDetails};
 use crate::access::Caller;
+use crate::budget::Charge;
 use crate::error::{ApiError, ErrorCode};
 use crate::model::Units;
 use crate::service::Service;
@@ -67,6 +68,8 @@ pub(super) struct Wanted {
     policy: WantedPolicy,
     /// Ends the stream of the present writer, if there is one, instead of being refused.
     take_over: bool,
+    /// Begins a new segment with the first new frame: its time may be any, as after a clock was set.
+    new_segment: bool,
 }
 
 /// One message to the client of a stream.
@@ -139,7 +142,8 @@ pub(super) async fn stream(
         WantedPolicy::Lossless => Policy::Lossless,
         WantedPolicy::Realtime => Policy::Realtime,
     };
-    let request = OpenRequest { id, mode: Mode::MapAndLocalize, policy, take_over: wanted.take_over };
+    let Wanted { take_over, new_segment, .. } = wanted;
+    let request = OpenRequest { id, mode: Mode::MapAndLocalize, policy, take_over, new_segment };
     let max_bytes = app.service.config().limits.max_message_bytes;
     let upgrade = upgrade.max_message_size(max_bytes).max_frame_size(max_bytes);
     Ok(upgrade.on_upgrade(move |socket| serve(app.service, caller, socket, request)))
@@ -164,7 +168,7 @@ async fn serve(service: Arc<Service>, caller: Caller, socket: WebSocket, request
     tokio::select! {
         // The session has ended the stream, or the client is gone.
         () = &mut writing => queue.close(Ok(())),
-        ending = read_frames(&caller, &mut source, &queue) => {
+        ending = read_frames(&service, &caller, &mut source, &queue) => {
             queue.close(ending);
             writing.await;
         }
@@ -194,13 +198,17 @@ async fn write_answers(
 
 /// Queues frames until the client says that there are no more, is gone, or breaks the rules.
 async fn read_frames(
+    service: &Service,
     caller: &Caller,
     source: &mut SplitStream<WebSocket>,
     queue: &FrameQueue,
 ) -> Result<(), ApiError> {
     while let Ok(Some(message)) = tokio::time::timeout(PATIENCE, source.next()).await {
         let item = match message {
-            Ok(Message::Binary(bytes)) => frame(bytes)?,
+            Ok(Message::Binary(bytes)) => {
+                let charge = service.budget().take(bytes.len()).await?;
+                frame(bytes, Some(Arc::new(charge)))?
+            }
             Ok(Message::Text(text)) if text.as_str() == "finish" => return Ok(()),
             Ok(Message::Text(_)) => {
                 return Err(ApiError::invalid("message", "a text message can only be `finish`"));
@@ -226,7 +234,7 @@ fn broken(error: &axum::Error) -> ApiError {
 }
 
 /// The frame of a binary message.
-fn frame(mut bytes: Bytes) -> Result<Queued, ApiError> {
+fn frame(mut bytes: Bytes, charge: Option<Arc<Charge>>) -> Result<Queued, ApiError> {
     if bytes.len() < HEAD_BYTES {
         let sentence = format!("a frame begins with {HEAD_BYTES} bytes, its number and its time");
         return Err(ApiError::invalid("message", sentence));
@@ -238,7 +246,7 @@ fn frame(mut bytes: Bytes) -> Result<Queued, ApiError> {
         return Ok(Queued::Rejected(Rejection { sequence, field, reason, code }));
     }
     let image = SentImage { encoding: Encoding::Auto, width: 0, height: 0, row_stride: 0, data: bytes };
-    Ok(Queued::Frame(SentFrame { sequence, timestamp_ns, image, arrived: Instant::now() }))
+    Ok(Queued::Frame(SentFrame { sequence, timestamp_ns, image, arrived: Instant::now(), charge }))
 }
 
 fn message_of(reply: Result<Reply, ApiError>) -> StreamMessage {
@@ -273,10 +281,12 @@ mod tests {
         let mut bytes = 7u64.to_le_bytes().to_vec();
         bytes.extend((-5i64).to_le_bytes());
         bytes.extend(b"\xff\xd8");
-        let Ok(Queued::Frame(found)) = frame(bytes.clone().into()) else { panic!("a frame") };
+        let Ok(Queued::Frame(found)) = frame(bytes.clone().into(), None) else { panic!("a frame") };
         assert_eq!((found.sequence, found.timestamp_ns, &found.image.data[..]), (7, -5, &b"\xff\xd8"[..]));
-        assert!(frame(Bytes::copy_from_slice(&bytes[..15])).is_err());
+        assert!(frame(Bytes::copy_from_slice(&bytes[..15]), None).is_err());
         bytes[7] = 0x80;
-        assert!(matches!(frame(bytes.into()), Ok(Queued::Rejected(r)) if r.code == "SEQUENCE_OUT_OF_RANGE"));
+        assert!(
+            matches!(frame(bytes.into(), None), Ok(Queued::Rejected(r)) if r.code == "SEQUENCE_OUT_OF_RANGE")
+        );
     }
 }

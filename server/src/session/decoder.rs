@@ -49,7 +49,8 @@ pub fn run(
 }
 
 fn decode(frame: SentFrame, limits: &DecodeLimits, depth: &mut SampleDepth) -> Decoded {
-    let SentFrame { sequence, timestamp_ns, image: sent, arrived } = frame;
+    // What is kept of the image beyond here is bounded elsewhere.
+    let SentFrame { sequence, timestamp_ns, image: sent, arrived, charge: _charge } = frame;
     match decode_image(&sent, limits, depth) {
         Ok(image) => {
             let brightest = brightest(&image);
@@ -133,6 +134,10 @@ pub fn rejection_of(error: &slam::FrameError, sequence: u64) -> Rejection {
 /// nanoseconds.
 const CLOCK_SET_BACK_NS: i64 = 500_000_000;
 
+/// How to go on after a clock was set.
+pub const NEW_SEGMENT: &str = "open the stream anew with `new_segment` (`monoslam stream --new-segment`), whose times \
+                               may be any";
+
 /// What to do about a frame the engine refused, where that is not plain.
 fn advice(error: &slam::FrameError) -> String {
     match error {
@@ -143,8 +148,8 @@ fn advice(error: &slam::FrameError) -> String {
             }
             let back_s = back_ns as f64 * 1e-9;
             format!(
-                "; the clock was set back by {back_s:.1} s: take times from one that is not (monotonic), or go on behind \
-                 the last frame, as `monoslam stream --continue-times` does"
+                "; the clock was set back by {back_s:.1} s: {NEW_SEGMENT}, take times from a clock that is not set (monotonic), \
+                 or go on behind the last frame, as `monoslam stream --continue-times` does"
             )
         }
         _ => String::new(),
@@ -163,7 +168,7 @@ mod tests {
         let encoding = Encoding::Raw(PixelFormat::Gray8);
         let data = bytes::Bytes::copy_from_slice(data);
         let image = SentImage { encoding, width: 160, height: 120, row_stride: 0, data };
-        Queued::Frame(SentFrame { sequence, timestamp_ns: 0, image, arrived: Instant::now() })
+        Queued::Frame(SentFrame { sequence, timestamp_ns: 0, image, arrived: Instant::now(), charge: None })
     }
 
     #[tokio::test]

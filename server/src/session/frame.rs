@@ -1,9 +1,11 @@
 //! What goes into a session's stream and what comes out.
 
 use super::view::SessionView;
+use crate::budget::Charge;
 use bytes::Bytes;
 use slam::FrameReport;
 use std::ops::Deref;
+use std::sync::Arc;
 use std::time::Instant;
 use vision::decode::{EncodedImage, PixelFormat};
 
@@ -65,6 +67,8 @@ pub struct SentFrame {
     pub image: SentImage,
     /// When it arrived.
     pub arrived: Instant,
+    /// Room it takes until it is decoded, where that is counted.
+    pub charge: Option<Arc<Charge>>,
 }
 
 /// Why a frame was not used; nothing of it is kept and the stream goes on.

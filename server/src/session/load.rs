@@ -4,8 +4,9 @@ use super::SessionId;
 use super::events::Events;
 use super::writer::Sink;
 use crate::clock::SystemClock;
-use crate::error::{ApiError, ErrorCode};
+use crate::error::ApiError;
 use crate::options::engine_config_of;
+use crate::soundness::damaged;
 use geometry::Camera;
 use slam::map::FrameState;
 use slam::{MapUpdate, Pipeline, ResumeState, SlamConfig, Threading};
@@ -22,12 +23,16 @@ pub struct LoadContext<'a> {
 
 /// What a session is taken up with.
 pub struct StoredSession {
+    id: SessionId,
     /// Its options ask for repeatable results.
     pub deterministic: bool,
     /// How tracking the last stored frame ended.
     pub last_state: FrameState,
     /// Metres per map unit; `None` while the scale is free.
     pub metres_per_unit: Option<f64>,
+    /// By how much the engine's times are ahead of the client's, nanoseconds.
+    pub ahead_ns: i64,
+    last_frame: Option<(u64, i64)>,
     config: SlamConfig,
     camera: Camera,
     state: ResumeState,
@@ -36,7 +41,7 @@ pub struct StoredSession {
 impl StoredSession {
     /// Number and time of the last stored frame.
     pub fn last_frame(&self) -> Option<(u64, i64)> {
-        self.state.last_frame
+        self.last_frame
     }
 }
 
@@ -60,12 +65,31 @@ impl LoadContext<'_> {
 pub async fn read(context: &LoadContext<'_>) -> Result<StoredSession, ApiError> {
     let record = context.store.get_session(context.id.as_str()).await?;
     let config = engine_config_of(&record)?;
-    let LoadedSession { record, resume: state } =
-        context.store.load_session(context.id.as_str(), &config).await?;
+    let loaded = context.store.load_session(context.id.as_str(), &config).await;
+    let LoadedSession { record, resume: state, segments } = loaded.map_err(|error| {
+        if error.is_of_damage() { cannot_be_taken_up(context.id, &error) } else { error.into() }
+    })?;
     let camera = record.checked_camera()?;
     let (deterministic, last_state) = (record.options.deterministic == Some(true), record.state);
     let metres_per_unit = record.metres_per_unit;
-    Ok(StoredSession { deterministic, last_state, metres_per_unit, config, camera, state })
+    let (id, last_frame) = (context.id.clone(), record.last_frame);
+    let ahead_ns = segments.ahead_ns(last_frame.map_or(0, |(sequence, _)| sequence.saturating_add(1)));
+    Ok(StoredSession {
+        id,
+        deterministic,
+        last_state,
+        metres_per_unit,
+        ahead_ns,
+        last_frame,
+        config,
+        camera,
+        state,
+    })
+}
+
+fn cannot_be_taken_up(id: &SessionId, error: &dyn std::error::Error) -> ApiError {
+    tracing::error!(session.id = id.as_str(), "session {id} cannot be taken up: {error}");
+    damaged(&error.to_string())
 }
 
 /// Makes the engine; takes as long as the map is large, so not on a runtime's thread.
@@ -73,11 +97,9 @@ pub async fn read(context: &LoadContext<'_>) -> Result<StoredSession, ApiError> 
 /// # Errors
 /// If the stored map is inconsistent.
 pub fn resume(stored: StoredSession) -> Result<Pipeline, ApiError> {
-    let StoredSession { config, camera, state, .. } = stored;
-    Pipeline::resume(config, camera, Arc::new(SystemClock::new()), state).map_err(|error| {
-        tracing::error!(error = %error, "a stored session cannot be taken up: {error}");
-        ApiError::new(ErrorCode::DataLoss, "the stored map cannot be taken up; the server's log says why")
-    })
+    let StoredSession { id, config, camera, state, .. } = stored;
+    Pipeline::resume(config, camera, Arc::new(SystemClock::new()), state)
+        .map_err(|error| cannot_be_taken_up(&id, &error))
 }
 
 /// Makes an engine that locates one image, whatever its time and number, and changes nothing; as [`resume`].
@@ -99,6 +121,15 @@ pub struct History {
 }
 
 impl History {
+    /// Begins a segment with a frame that is new: from there on the engine's times are ahead of the client's by
+    /// so much.
+    ///
+    /// # Errors
+    /// If it cannot be stored.
+    pub async fn begin_segment(&self, sequence: u64, ahead_ns: i64) -> Result<(), ApiError> {
+        Ok(self.store.begin_segment(self.id.as_str(), sequence, ahead_ns).await?)
+    }
+
     /// What came of a frame; `None` if it is not stored or cannot be read.
     pub async fn frame(&self, sequence: u64) -> Option<StoredFrame> {
         match self.store.frame(self.id.as_str(), sequence).await {

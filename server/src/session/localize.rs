@@ -7,8 +7,10 @@
 use super::decoder;
 use super::frame::{FrameOutcome, SentImage};
 use super::load::{self, LoadContext};
-use crate::error::ApiError;
+use crate::error::{ApiError, ErrorCode};
 use std::time::Instant;
+use tokio::sync::OwnedSemaphorePermit;
+use tokio_util::sync::CancellationToken;
 use vision::decode::{DecodeLimits, SampleDepth};
 
 /// Where an image was taken, or why that is not known.
@@ -26,7 +28,8 @@ pub struct Located {
     pub locate_ns: u64,
 }
 
-/// Locates an image.
+/// Locates an image. The `turn` is kept for as long as that is worked at; who gives the future up, ends the
+/// work at its next stage.
 ///
 /// # Errors
 /// If the image cannot be used, or the session not be read. A place that is not found is no error.
@@ -34,14 +37,22 @@ pub async fn localize(
     context: &LoadContext<'_>,
     image: SentImage,
     limits: DecodeLimits,
+    turn: OwnedSemaphorePermit,
 ) -> Result<Located, ApiError> {
     let begin = Instant::now();
+    let given_up = CancellationToken::new();
+    let _give_up = given_up.clone().drop_guard();
+    let go_on = move || if given_up.is_cancelled() { Err(given_up_by_client()) } else { Ok(()) };
     let stored = load::read(context).await?;
     let (metres_per_unit, last_frame) = (stored.metres_per_unit, stored.last_frame());
     let locate = move || {
+        let _turn = turn;
+        go_on()?;
         let image = decoder::decode_image(&image, &limits, &mut SampleDepth::default())
             .map_err(|refusal| ApiError::invalid(refusal.field, refusal.reason))?;
+        go_on()?;
         let mut pipeline = load::resume_to_locate(stored)?;
+        go_on()?;
         let load_ns = begin.elapsed().as_nanos() as u64;
         let brightest = decoder::brightest(&image);
         let frame = slam::Frame { sequence: 0, timestamp_ns: 0, image };
@@ -56,4 +67,9 @@ pub async fn localize(
     };
     // A panic of the engine is an internal error of this call.
     tokio::task::spawn_blocking(locate).await.map_err(ApiError::internal)?
+}
+
+/// Nobody hears it.
+fn given_up_by_client() -> ApiError {
+    ApiError::new(ErrorCode::TookTooLong, "nobody waits for the place of this image any more")
 }

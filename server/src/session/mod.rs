@@ -7,6 +7,7 @@ mod gallery;
 mod id;
 mod images;
 mod journal;
+mod leaps;
 mod load;
 mod localize;
 mod queue;

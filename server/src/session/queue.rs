@@ -223,7 +223,7 @@ mod tests {
             row_stride: 0,
             data: bytes::Bytes::new(),
         };
-        Queued::Frame(SentFrame { sequence, timestamp_ns: 0, image, arrived: Instant::now() })
+        Queued::Frame(SentFrame { sequence, timestamp_ns: 0, image, arrived: Instant::now(), charge: None })
     }
 
     fn drained(queue: &FrameQueue) -> Vec<String> {

@@ -3,13 +3,14 @@
 use super::events::{Events, SessionEvent};
 use super::gallery::ShownFrame;
 use super::journal::{Revision, Since};
+use super::leaps::Leaps;
 use super::load::{self, LoadContext, StoredSession};
 use super::queue::{FrameQueue, Policy};
 use super::slots::{self, Resident, Room, Slots};
 use super::view::{Live, LoadedView};
 use super::worker::{Ends, Mode, Persistence, Replies, Stream, Worker, WorkerConfig};
 use super::{SessionId, writer};
-use crate::config::Config;
+use crate::current::Current;
 use crate::error::{ApiError, ErrorCode};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -30,11 +31,13 @@ pub struct OpenRequest {
     pub policy: Policy,
     /// End the stream of the present writer, if there is one.
     pub take_over: bool,
+    /// The first new frame begins a new segment.
+    pub new_segment: bool,
 }
 
 /// See the module's documentation.
 pub struct Registry {
-    config: Arc<Config>,
+    config: Current,
     store: Store,
     /// What lasts while a session comes and goes is who watches it.
     slots: Slots<SessionId, Loaded, Events>,
@@ -68,8 +71,8 @@ struct Writer {
 
 impl Registry {
     /// A registry without sessions.
-    pub fn new(config: Arc<Config>, store: Store) -> Self {
-        let slots = Slots::new(config.limits.max_loaded_sessions);
+    pub fn new(config: Current, store: Store) -> Self {
+        let slots = Slots::new(config.get().limits.max_loaded_sessions);
         Self { config, store, slots, closed: CancellationToken::new() }
     }
 
@@ -84,13 +87,14 @@ impl Registry {
     ) -> Result<Arc<FrameQueue>, ApiError> {
         let held = self.slots.hold(&request.id).await;
         let capacity = match request.policy {
-            Policy::Lossless => self.config.sessions.lossless_queue_frames,
-            Policy::Realtime => self.config.sessions.realtime_queue_frames,
+            Policy::Lossless => self.config.get().sessions.lossless_queue_frames,
+            Policy::Realtime => self.config.get().sessions.realtime_queue_frames,
         };
         let queue = Arc::new(FrameQueue::new(request.policy, capacity));
         let mut stream = Stream {
             mode: request.mode,
             policy: request.policy,
+            new_segment: request.new_segment,
             queue: queue.clone(),
             replies,
             ending_soon: CancellationToken::new(),
@@ -230,7 +234,7 @@ impl Registry {
             return Ok(loaded);
         }
         let room = self.slots.make_room().await.map_err(|slots::Full| {
-            let limit = self.config.limits.max_loaded_sessions;
+            let limit = self.config.get().limits.max_loaded_sessions;
             let sentence =
                 format!("{limit} sessions are in use, as many as this server takes; try again later");
             ApiError::new(ErrorCode::TooManyLoadedSessions, sentence)
@@ -248,15 +252,19 @@ impl Registry {
             context.sink(stored.last_state, events.clone()),
             last_frame.map(|(sequence, _)| sequence),
             stored.deterministic,
-            self.config.sessions.save_retry(),
+            self.config.get().sessions.save_retry(),
         );
-        let persistence = Persistence { outbox, history: context.history(), last_frame };
+        let (history, ahead_ns) = (context.history(), stored.ahead_ns);
+        let persistence = Persistence { outbox, history, last_frame, ahead_ns };
+        let leaps = Leaps::of(&self.config.get().sessions);
         let config = WorkerConfig {
-            decode_limits: self.config.decode_limits(),
-            keep_images: self.config.sessions.keep_keyframe_images,
-            idle_unload: self.config.sessions.idle_unload(),
+            leaps,
+            decode_limits: self.config.get().decode_limits(),
+            keep_images: self.config.get().sessions.keep_keyframe_images,
+            idle_unload: self.config.get().sessions.idle_unload(),
         };
-        let (loaded, ends) = channels(stored.metres_per_unit, events, self.config.sessions.idle_stream());
+        let (loaded, ends) =
+            channels(stored.metres_per_unit, events, self.config.get().sessions.idle_stream());
         let stay = Stay { _room: room, _ended: loaded.ended.clone().drop_guard() };
         spawn(Beginning { id: id.clone(), config, stored, persistence, saving, ends, stay }).await?;
         Ok(loaded)

@@ -72,6 +72,8 @@ pub struct SessionView {
     pub loaded: bool,
     /// Whether a writer is connected.
     pub has_writer: bool,
+    /// What of it is damaged, so that it cannot be streamed into; `None` if nothing is known to be.
+    pub damage: Option<String>,
 }
 
 impl SessionView {
@@ -118,6 +120,7 @@ impl SessionView {
             last_timestamp_ns: last_frame.map(|(_, timestamp_ns)| timestamp_ns),
             loaded: false,
             has_writer: false,
+            damage: None,
         }
     }
 
@@ -128,8 +131,12 @@ impl SessionView {
         self.has_writer = has_writer;
         self.state = live.state.or(self.state);
         if let Some((sequence, timestamp_ns)) = live.last_frame {
-            self.next_sequence = self.next_sequence.max(sequence.saturating_add(1));
-            self.last_timestamp_ns = self.last_timestamp_ns.max(Some(timestamp_ns));
+            let next_sequence = sequence.saturating_add(1);
+            // Of the newer frame: a new segment may have an earlier time.
+            if next_sequence >= self.next_sequence {
+                self.next_sequence = next_sequence;
+                self.last_timestamp_ns = Some(timestamp_ns);
+            }
         }
         if live.state.is_some() {
             self.n_keyframes = live.n_keyframes as u64;

@@ -10,6 +10,7 @@ use super::events::Events;
 use super::frame::{Answer, Before, FrameOutcome, Rejection, Reply, SentImage};
 use super::gallery::ShownFrame;
 use super::images::CandidateImages;
+use super::leaps::{self, Leaps};
 use super::load::History;
 use super::queue::{Ending, FrameQueue, Policy};
 use super::recent::RecentAnswers;
@@ -52,6 +53,8 @@ pub struct Stream {
     pub mode: Mode,
     /// What happens when frames come faster than they are tracked.
     pub policy: Policy,
+    /// The first new frame begins a new segment.
+    pub new_segment: bool,
     /// Its frames.
     pub queue: Arc<FrameQueue>,
     /// Where the answers go. When it is full the session waits for the client.
@@ -84,11 +87,15 @@ pub struct Persistence {
     pub history: History,
     /// Number and time of the last stored frame.
     pub last_frame: Option<(u64, i64)>,
+    /// By how much the engine's times are ahead of the client's, nanoseconds.
+    pub ahead_ns: i64,
 }
 
 /// What a worker runs with.
 #[derive(Clone, Copy, Debug)]
 pub struct WorkerConfig {
+    /// How far frames may leap.
+    pub leaps: Leaps,
     /// What images are accepted.
     pub decode_limits: DecodeLimits,
     /// Keep the images of keyframes.
@@ -107,6 +114,10 @@ pub struct Worker {
     ends: Ends,
     /// Number and time of the last frame, stored or not.
     last_frame: Option<(u64, i64)>,
+    /// By how much the engine's times are ahead of the client's, nanoseconds.
+    ahead_ns: i64,
+    /// The next new frame begins a segment.
+    begins_segment: bool,
     recent: RecentAnswers,
     images: CandidateImages,
     /// What is known of samples of 16 bits.
@@ -129,7 +140,7 @@ impl Worker {
         ends: Ends,
         runtime: Handle,
     ) -> Self {
-        let Persistence { outbox, history, last_frame } = persistence;
+        let Persistence { outbox, history, last_frame, ahead_ns } = persistence;
         let (recent, images) = (RecentAnswers::default(), CandidateImages::default());
         let (depth, n_frames) = (SampleDepth::default(), 0);
         Self {
@@ -140,6 +151,8 @@ impl Worker {
             history,
             ends,
             last_frame,
+            ahead_ns,
+            begins_segment: false,
             recent,
             images,
             depth,
@@ -214,6 +227,7 @@ impl Worker {
     fn serve(&mut self, stream: Stream) {
         self.pipeline.set_mapping(stream.mode == Mode::MapAndLocalize);
         self.pipeline.set_lossless(stream.policy == Policy::Lossless);
+        self.begins_segment = stream.new_segment;
         self.track_all(&stream);
         let saved = self.flush();
         let ending: Ending = match stream.queue.ending() {
@@ -274,8 +288,12 @@ impl Worker {
             return self.repeat(sequence, timestamp_ns);
         }
         let queued_ns = arrived.elapsed().as_nanos() as u64;
-        let report = match self.pipeline.process_frame(frame) {
-            Ok(report) => FrameOutcome { report, brightest },
+        let engine_ns = match self.engine_time(sequence, timestamp_ns) {
+            Ok(engine_ns) => engine_ns,
+            Err(rejection) => return rejected(rejection),
+        };
+        let report = match self.pipeline.process_frame(slam::Frame { timestamp_ns: engine_ns, ..frame }) {
+            Ok(report) => FrameOutcome { report: FrameReport { timestamp_ns, ..report }, brightest },
             Err(error) => return rejected(decoder::rejection_of(&error, sequence)),
         };
         self.last_frame = Some((sequence, timestamp_ns));
@@ -298,6 +316,27 @@ impl Worker {
         self.recent.remember(report.clone());
         let durable_sequence = self.outbox.durable_sequence();
         Reply::Answered(Box::new(Answer { report, durable_sequence, queued_ns, metres_per_unit }))
+    }
+
+    /// The engine's time of a new frame, which only goes on; begins a segment where one is to begin.
+    fn engine_time(&mut self, sequence: u64, timestamp_ns: i64) -> Result<i64, Rejection> {
+        let leaps = self.config.leaps;
+        leaps.check_sequence(self.last_frame, sequence)?;
+        let Some(last_frame) = self.last_frame.filter(|_| self.begins_segment) else {
+            leaps.check_time(self.last_frame, sequence, timestamp_ns)?;
+            return leaps::engine_time(sequence, timestamp_ns, self.ahead_ns);
+        };
+        let ahead_ns = leaps::ahead_of_segment(last_frame, self.ahead_ns, sequence, timestamp_ns)?;
+        let begun = self.runtime.block_on(self.history.begin_segment(sequence, ahead_ns));
+        begun.map_err(|error| leaps::not_begun(sequence, &error))?;
+        let id = &self.id;
+        tracing::info!(
+            session.id = id.as_str(),
+            sequence,
+            "session {id}: frame {sequence} begins a new segment"
+        );
+        (self.ahead_ns, self.begins_segment) = (ahead_ns, false);
+        leaps::engine_time(sequence, timestamp_ns, ahead_ns)
     }
 
     /// The answer to a frame that was answered before.
@@ -441,7 +480,13 @@ mod tests {
         let data = vec![128; (WIDTH * HEIGHT) as usize].into();
         let encoding = Encoding::Raw(PixelFormat::Gray8);
         let image = SentImage { encoding, width: WIDTH, height: HEIGHT, row_stride: 0, data };
-        Queued::Frame(SentFrame { sequence, timestamp_ns: sequence as i64, image, arrived: Instant::now() })
+        Queued::Frame(SentFrame {
+            sequence,
+            timestamp_ns: sequence as i64,
+            image,
+            arrived: Instant::now(),
+            charge: None,
+        })
     }
 
     fn camera() -> Camera {
@@ -462,8 +507,9 @@ mod tests {
         let id = SessionId::parse("s", "id").unwrap();
         let (streams, receiver) = mpsc::channel(1);
         let history = crate::session::load::LoadContext { store: &store, id: &id }.history();
-        let persistence = Persistence { outbox, history, last_frame: None };
+        let persistence = Persistence { outbox, history, last_frame: None, ahead_ns: 0 };
         let config = WorkerConfig {
+            leaps: Leaps::of(&crate::config::SessionConfig::default()),
             decode_limits: DecodeLimits::default(),
             keep_images: true,
             idle_unload: Duration::from_secs(60),
@@ -484,6 +530,7 @@ mod tests {
         let stream = Stream {
             mode: Mode::MapAndLocalize,
             policy: Policy::Lossless,
+            new_segment: false,
             queue: queue.clone(),
             replies,
             ending_soon: CancellationToken::new(),

@@ -89,17 +89,50 @@ impl Store {
         let mut problems = Vec::new();
         let mut transaction = self.begin_read().await?;
         check_file(&mut transaction, &mut problems).await?;
-        let sessions = sqlx::query("SELECT number, id FROM sessions WHERE id IS NOT NULL ORDER BY id")
-            .fetch_all(&mut *transaction)
-            .await?;
-        for row in sessions {
-            let mut found = Findings::new(Some(row.try_get(1)?));
-            check_session(&mut transaction, row.try_get(0)?, &mut found).await?;
-            found.finish(&mut problems);
-        }
-        transaction.commit().await?;
+        check_places(&mut transaction, &mut problems).await?;
+        check_sessions(&mut transaction, &mut problems).await?;
+        // It only read: nothing is lost with it, and after a damaged page it may not end as it should.
+        drop(transaction);
         Ok(problems)
     }
+
+    /// [`Self::check`] of the sessions without the file.
+    pub(crate) async fn check_sessions(&self) -> Result<Vec<Finding>, StoreError> {
+        let mut problems = Vec::new();
+        let mut transaction = self.begin_read().await?;
+        check_sessions(&mut transaction, &mut problems).await?;
+        // It only read: nothing is lost with it, and after a damaged page it may not end as it should.
+        drop(transaction);
+        Ok(problems)
+    }
+
+    /// [`Self::check`] of the file without what this version of the program keeps in it.
+    pub(crate) async fn check_file_alone(&self) -> Result<Vec<Finding>, StoreError> {
+        let mut problems = Vec::new();
+        let mut reader = self.reader().await?;
+        check_file(&mut reader, &mut problems).await?;
+        Ok(problems)
+    }
+}
+
+async fn check_sessions(
+    connection: &mut SqliteConnection,
+    problems: &mut Vec<Finding>,
+) -> Result<(), StoreError> {
+    let sessions = sqlx::query("SELECT number, id FROM sessions WHERE id IS NOT NULL ORDER BY id")
+        .fetch_all(&mut *connection)
+        .await;
+    let mut of_table = Findings::new(None);
+    let sessions = of_table.note(sessions.map_err(StoreError::from))?.unwrap_or_default();
+    of_table.finish(problems);
+    for row in sessions {
+        let mut found = Findings::new(Some(row.try_get(1)?));
+        let checked = check_session(connection, row.try_get(0)?, &mut found).await;
+        // A page that cannot be read ends the look at this session alone.
+        found.note(checked)?;
+        found.finish(problems);
+    }
+    Ok(())
 }
 
 async fn check_file(
@@ -108,17 +141,28 @@ async fn check_file(
 ) -> Result<(), StoreError> {
     let mut found = Findings::new(None);
     // The argument bounds how many lines are reported.
-    let lines: Vec<String> =
-        sqlx::query_scalar("PRAGMA integrity_check(100)").fetch_all(&mut *connection).await?;
+    let lines = sqlx::query_scalar("PRAGMA integrity_check(100)").fetch_all(&mut *connection).await;
+    let lines: Vec<String> = found.note(lines.map_err(StoreError::from))?.unwrap_or_default();
     lines.iter().filter(|line| *line != "ok").for_each(|line| found.add(line));
-    let dangling = sqlx::query("PRAGMA foreign_key_check").fetch_all(&mut *connection).await?;
-    for row in &dangling {
+    let dangling = sqlx::query("PRAGMA foreign_key_check").fetch_all(&mut *connection).await;
+    for row in &found.note(dangling.map_err(StoreError::from))?.unwrap_or_default() {
         let (table, parent): (String, String) = (row.try_get(0)?, row.try_get(2)?);
         found.add(format!("a row of {table} refers to one of {parent} that is not there"));
     }
+    found.finish(problems);
+    Ok(())
+}
+
+/// Checks the R*Trees of spatial queries.
+async fn check_places(
+    connection: &mut SqliteConnection,
+    problems: &mut Vec<Finding>,
+) -> Result<(), StoreError> {
+    let mut found = Findings::new(None);
     for statement in ["SELECT rtreecheck('point_cells')", "SELECT rtreecheck('line_cells')"] {
-        let tree: String = sqlx::query_scalar(statement).fetch_one(&mut *connection).await?;
-        if tree != "ok" {
+        let tree = sqlx::query_scalar(statement).fetch_one(&mut *connection).await;
+        let tree: Option<String> = found.note(tree.map_err(StoreError::from))?;
+        if let Some(tree) = tree.filter(|tree| tree != "ok") {
             found.add(tree);
         }
     }

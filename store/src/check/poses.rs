@@ -5,6 +5,7 @@ use crate::StoreError;
 use crate::blob::{MeasuredCounts, check_features, decode_vanishing};
 use crate::number::{from_column, keyframe_id};
 use crate::pose::{PoseBook, read_local_scale, read_pose};
+use crate::segments::Segments;
 use crate::session::parse_state;
 use futures_util::TryStreamExt;
 use geometry::Pose;
@@ -93,6 +94,8 @@ pub(super) async fn check_frames(
     session: i64,
     problems: &mut Findings,
 ) -> Result<(u64, Option<(u64, i64)>), StoreError> {
+    let segments = Segments::read(connection, session).await?;
+    let engine_ns = |(sequence, timestamp_ns): (u64, i64)| segments.engine_ns(sequence, timestamp_ns);
     let (mut n_frames, mut last) = (0, None);
     let mut rows = sqlx::query(
         "SELECT sequence, timestamp_ns, state, reference, qx, qy, qz, qw, tx, ty, tz
@@ -103,7 +106,7 @@ pub(super) async fn check_frames(
     while let Some(row) = rows.try_next().await? {
         n_frames += 1;
         let Some(frame) = problems.note(check_frame(&row))? else { continue };
-        if last.is_some_and(|(_, timestamp_ns)| timestamp_ns >= frame.1) {
+        if last.is_some_and(|last| engine_ns(last) >= engine_ns(frame)) {
             problems.add(format!("the time of frame {} is not after the one before", frame.0));
         }
         last = Some(frame);

@@ -6,6 +6,7 @@ use crate::StoreError;
 use crate::blob::encode_features;
 use crate::number::{keyframe_column, to_column};
 use crate::pose::{finite, finite_pose_columns};
+use crate::segments::Segments;
 use slam::Keyframe;
 use slam::map::{KeyframeId, MapUpdate, RemovedKeyframe};
 use sqlx::SqliteConnection;
@@ -37,6 +38,7 @@ pub(super) async fn write_keyframes(
     connection: &mut SqliteConnection,
     session: i64,
     update: &MapUpdate,
+    segments: &Segments,
 ) -> Result<(), StoreError> {
     let changed: Vec<&Keyframe> =
         update.changes.keyframes.iter().filter_map(|id| update.map.keyframe(*id)).collect();
@@ -47,7 +49,7 @@ pub(super) async fn write_keyframes(
             columns.add(keyframe_column(keyframe.id)?)?;
             columns.add(i64::from(keyframe.submap.0))?;
             columns.add(to_column("sequence", keyframe.sequence)?)?;
-            columns.add(keyframe.timestamp_ns)?;
+            columns.add(segments.client_ns(keyframe.sequence, keyframe.timestamp_ns))?;
             pose.into_iter().try_for_each(|value| columns.add(value))?;
             columns.add(finite("a keyframe's unit", keyframe.local_scale)?)?;
             columns.add(keyframe.parent.map(keyframe_column).transpose()?)?;

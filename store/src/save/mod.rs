@@ -9,6 +9,7 @@ mod rows;
 
 use crate::number::to_column;
 use crate::pose::finite_pose_columns;
+use crate::segments::Segments;
 use crate::session::{SessionCounts, read_session, state_column, write_correction, write_progress};
 use crate::{Store, StoreError};
 use rows::MultiRow;
@@ -74,10 +75,11 @@ impl Store {
     ) -> Result<Committed, StoreError> {
         let mut transaction = self.begin_write().await?;
         let (number, before) = read_session(&mut transaction, session).await?;
+        let segments = Segments::read(&mut transaction, number).await?;
 
         landmarks::delete::<PointLandmark>(&mut transaction, number, update).await?;
         landmarks::delete::<LineLandmark>(&mut transaction, number, update).await?;
-        keyframes::write_keyframes(&mut transaction, number, update).await?;
+        keyframes::write_keyframes(&mut transaction, number, update, &segments).await?;
         keyframes::write_features(&mut transaction, number, update).await?;
         keyframes::write_images(&mut transaction, number, update, images).await?;
         primitives::write_vanishing(&mut transaction, number, update).await?;
@@ -87,9 +89,11 @@ impl Store {
         if update.changes.correction {
             write_correction(&mut transaction, number, &update.map.correction()).await?;
         }
-        let n_new_frames = write_frames(&mut transaction, number, &update.frames).await?;
+        let n_new_frames = write_frames(&mut transaction, number, &update.frames, &segments).await?;
 
-        let newest = update.frames.iter().map(|frame| (frame.sequence, frame.timestamp_ns)).max();
+        let newest = update.frames.iter().max_by_key(|frame| frame.sequence);
+        let newest =
+            newest.map(|frame| (frame.sequence, segments.client_ns(frame.sequence, frame.timestamp_ns)));
         let last_frame = before.last_frame.max(newest);
         let counts = SessionCounts {
             n_frames: before.counts.n_frames + n_new_frames,
@@ -121,6 +125,7 @@ async fn write_frames(
     connection: &mut SqliteConnection,
     session: i64,
     frames: &[FrameRecord],
+    segments: &Segments,
 ) -> Result<u64, StoreError> {
     if frames.is_empty() {
         return Ok(0);
@@ -147,7 +152,7 @@ async fn write_frames(
             };
             columns.add(session)?;
             columns.add(to_column("sequence", frame.sequence)?)?;
-            columns.add(frame.timestamp_ns)?;
+            columns.add(segments.client_ns(frame.sequence, frame.timestamp_ns))?;
             columns.add(state_column(frame.state))?;
             columns.add(frame.backfilled)?;
             columns.add(frame.pose.map(|pose| i64::from(pose.submap.0)))?;

@@ -1,5 +1,6 @@
 //! The store from outside: what is saved comes back, and nothing else changes.
 
+mod backup;
 mod check;
 mod durability;
 mod graph;

@@ -19,29 +19,6 @@ async fn what_was_deleted_is_given_back_when_the_file_is_compacted() {
 }
 
 #[tokio::test]
-async fn a_copy_that_cannot_be_written_is_read_as_it_is() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("maps.db");
-    let store = Store::open(&path, StoreOptions::default()).await.unwrap();
-    store.create_session(&new_session("kitchen")).await.unwrap();
-    store.close().await.unwrap();
-    let before = std::fs::read(&path).unwrap();
-    let copy = Store::open_unwritable(&path).await.unwrap();
-    assert!(copy.check().await.unwrap().is_empty());
-    assert_eq!(copy.get_session("kitchen").await.unwrap().id, "kitchen");
-    assert!(copy.create_session(&new_session("hall")).await.unwrap_err().is_unwritable());
-    assert_eq!(std::fs::read(&path).unwrap(), before);
-    let files: Vec<_> =
-        std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
-    assert_eq!(files, ["maps.db"], "nothing is put beside it");
-
-    let old = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/schema-1.sqlite");
-    let refused = Store::open_unwritable(old).await.unwrap_err().to_string();
-    assert!(refused.contains("schema version 1") && refused.contains("copy it"), "{refused}");
-    assert!(Store::open_unwritable(folder.path().join("none.db")).await.is_err());
-}
-
-#[tokio::test]
 async fn a_session_is_made_found_changed_and_deleted() {
     let folder = tempfile::tempdir().unwrap();
     let store = Store::open(folder.path().join("maps.db"), StoreOptions::default()).await.unwrap();

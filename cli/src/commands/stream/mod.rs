@@ -46,6 +46,9 @@ pub struct StreamArgs {
     /// End the stream of another client that is streaming into the session
     #[arg(long)]
     take_over: bool,
+    /// Begin a new segment of the session: the times of its frames may be any, as after a clock was set back
+    #[arg(long)]
+    new_segment: bool,
     /// Stream a recording again that the session has already, behind what is there
     #[arg(long)]
     again: bool,
@@ -167,6 +170,7 @@ fn plan(
         range,
         placement,
         take_over: args.take_over,
+        new_segment: args.new_segment,
     }
 }
 

@@ -1,14 +1,11 @@
 //! `kill -9` at any moment: every session is listed again, whole, and goes on in its own map.
 
+use crate::program::{ServerProcess, check};
 use proto::v1;
-use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
-use std::path::Path;
-use std::process::{Child, Command, Stdio};
 use std::time::Duration;
-use tests::{Client, FrameStream, SmallWorld, create_session, open_message};
+use tests::{FrameStream, SmallWorld, create_session, open_message};
 
-const SERVER: &str = env!("CARGO_BIN_EXE_monoslam-server");
 /// Frames after which a server is killed, within one stream each; then the last server sees the rest.
 const KILLED_AFTER: [usize; 3] = [3, 25, 85];
 /// Frames in all.
@@ -16,78 +13,11 @@ const N_FRAMES: usize = 120;
 /// Frames in which a session must have found its place again: two seconds.
 const N_RELOCALIZING_FRAMES: usize = 20;
 
-/// A server in a process of its own.
-struct ServerProcess {
-    child: Child,
-    grpc_addr: SocketAddr,
-    http_addr: SocketAddr,
-}
-
-impl ServerProcess {
-    /// Starts a server and waits until it serves.
-    fn start(data_dir: &Path) -> Self {
-        let mut child = Command::new(SERVER)
-            .args(["--grpc-addr", "127.0.0.1:0", "--http-addr", "127.0.0.1:0", "--data-dir"])
-            .arg(data_dir)
-            .env("RUST_LOG", "info")
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("the server starts");
-        let mut log = BufReader::new(child.stderr.take().expect("a log")).lines();
-        let addresses = log.by_ref().map_while(Result::ok).find_map(|line| addresses_in(&line));
-        let (grpc_addr, http_addr) = addresses.expect("the server says where it serves");
-        // The rest of the log is read so that the server never waits for us.
-        std::thread::spawn(move || log.for_each(drop));
-        Self { child, grpc_addr, http_addr }
-    }
-
-    async fn client(&self) -> Client {
-        tests::connect(self.grpc_addr).await.expect("the server takes connections")
-    }
-
-    /// SIGKILL.
-    fn kill(mut self) {
-        self.child.kill().expect("the server was running");
-        self.child.wait().expect("the server has ended");
-    }
-
-    /// SIGTERM; whether the server ended well.
-    fn terminate(mut self) -> bool {
-        // SAFETY: sends a signal to a child that was not waited for yet, so that its number is still its own.
-        let sent = unsafe { libc::kill(self.child.id() as libc::pid_t, libc::SIGTERM) };
-        assert_eq!(sent, 0);
-        self.child.wait().expect("the server ends").success()
-    }
-}
-
-impl Drop for ServerProcess {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-    }
-}
-
-/// Reads `serving gRPC on A and HTTP on B`.
-fn addresses_in(line: &str) -> Option<(SocketAddr, SocketAddr)> {
-    let (_, rest) = line.split_once("serving gRPC on ")?;
-    let (grpc, rest) = rest.split_once(" and HTTP on ")?;
-    Some((grpc.parse().ok()?, rest.split_whitespace().next()?.parse().ok()?))
-}
-
-/// What the server's own check says of a database.
-fn check(data_dir: &Path) -> String {
-    let output =
-        Command::new(SERVER).arg("check").arg("--data-dir").arg(data_dir).output().expect("the check runs");
-    let said =
-        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "the database is not whole: {said}");
-    said
-}
-
 /// What came of the frames of one stream: sequence and answer.
-type Answers = Vec<v1::FrameResult>;
+pub type Answers = Vec<v1::FrameResult>;
 
 /// Streams frames until so many were answered or all are.
-async fn stream(stream: &mut FrameStream, world: &SmallWorld, first: usize, n: usize) -> Answers {
+pub async fn stream(stream: &mut FrameStream, world: &SmallWorld, first: usize, n: usize) -> Answers {
     let sender = stream.sender();
     let frames: Vec<_> = (first..(first + n + 8).min(N_FRAMES)).map(|i| world.frame(i)).collect();
     let n = n.min(frames.len());

@@ -1,0 +1,7 @@
+//! The server as a program of its own: killed, copied beside its streams, and put back.
+
+mod backup;
+mod crash;
+mod memory;
+mod program;
+mod reload;
