@@ -105,6 +105,13 @@ impl Adjustment {
         self.problem.cost_of(self.point_group).robust + self.problem.cost_of(self.line_group).robust
     }
 
+    /// As [`Self::cost_of_sightings`], of those that were left out as well, which are in again afterwards.
+    pub(super) fn cost_of_all_sightings(&mut self) -> f64 {
+        self.problem.set_group_enabled(self.point_group, true);
+        self.problem.set_group_enabled(self.line_group, true);
+        self.cost_of_sightings()
+    }
+
     /// The present pose of a keyframe of the scope.
     pub(super) fn pose(&self, id: KeyframeId) -> Option<Pose> {
         self.poses.get(&id).map(|variable| *self.problem.value(*variable))

@@ -39,6 +39,9 @@ pub(crate) struct Relocalizer {
     n_candidates: usize,
     /// The frame whose vanishing points were asked for last, by its number, and these, in its camera's frame.
     vanishing: Option<(u64, Vec<Vector3<f64>>)>,
+    /// Where to look only: a place, and how far from it, map units.
+    near: Option<(Vector3<f64>, f64)>,
+    seed: u64,
 }
 
 /// Keypoints of a frame that look like landmarks.
@@ -69,12 +72,20 @@ impl Relocalizer {
             rng: ChaCha8Rng::seed_from_u64(config.seed),
             n_candidates: 0,
             vanishing: None,
+            near: None,
+            seed: config.seed,
         })
     }
 
     /// Enters the keyframes that are new in the map and drops those that are gone.
     pub fn update(&mut self, map: &Map) {
         self.places.update(map);
+    }
+
+    /// Begins as if nothing had been looked for, and looks near a place only.
+    pub fn begin_anew(&mut self, near: Option<(Vector3<f64>, f64)>) {
+        self.rng = ChaCha8Rng::seed_from_u64(self.seed);
+        (self.vanishing, self.near, self.n_candidates) = (None, near, 0);
     }
 
     /// Places that were tried for the last frame.
@@ -84,7 +95,15 @@ impl Relocalizer {
 
     /// The keyframes that look most like a frame, best first. A submap may be left out.
     pub fn candidates(&mut self, view: &View, map: &Map, except: Option<SubmapId>) -> Vec<KeyframeId> {
-        let is_wanted = |id| map.keyframe(id).is_some_and(|keyframe| Some(keyframe.submap) != except);
+        let near = self.near;
+        let is_near = |keyframe: &Keyframe| {
+            near.is_none_or(|(place, radius)| {
+                (keyframe.camera_from_world.center() - place).norm() <= radius
+            })
+        };
+        let is_wanted = |id| {
+            map.keyframe(id).is_some_and(|keyframe| Some(keyframe.submap) != except && is_near(keyframe))
+        };
         let candidates =
             self.places.most_similar(&view.features.descriptors, self.config.max_candidates, is_wanted);
         self.n_candidates = candidates.len();
