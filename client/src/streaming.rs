@@ -50,6 +50,8 @@ pub struct StreamPlan {
     pub placement: Placement,
     /// Whether to end the stream of a present writer instead of being refused.
     pub take_over: bool,
+    /// Whether frames are only located in the map, which stays as it is.
+    pub localize_only: bool,
 }
 
 impl StreamPlan {
@@ -63,6 +65,7 @@ impl StreamPlan {
             range: 0..source.n_frames().unwrap_or(usize::MAX),
             placement: Placement::AS_RECORDED,
             take_over: false,
+            localize_only: false,
         }
     }
 
@@ -193,7 +196,11 @@ async fn stream_once(
 ) -> Result<(), ClientError> {
     let open = v1::OpenStream {
         session_id: plan.session_id.clone(),
-        mode: v1::StreamMode::MapAndLocalize.into(),
+        mode: if plan.localize_only {
+            v1::StreamMode::LocalizeOnly.into()
+        } else {
+            v1::StreamMode::MapAndLocalize.into()
+        },
         policy: plan.policy.into(),
         take_over,
     };

@@ -3,14 +3,16 @@
 use crate::access::{self, Access, Caller, Change};
 use crate::config::Config;
 use crate::error::{ApiError, ErrorCode};
+use crate::localization::{Localization, Located, MAX_SESSIONS, Question};
 use crate::maps::{MapQueries, Observed, SceneParts};
-use crate::options::{SessionOptions, camera_to_begin_with, camera_warnings, engine_config};
-use crate::page::{Page, PageRequest};
+use crate::operations::{Kind, Operation, Operations, Tools};
+use crate::options::{SessionOptions, camera_to_begin_with, camera_warnings, check_camera, engine_config};
+use crate::page::{MAX_PAGE_SIZE, Page, PageRequest};
+use crate::scale::{self, Measurement, ScaleSource};
 use crate::session::{
-    self, FrameQueue, LoadContext, Located, OpenRequest, Registry, Replies, Reply, SentImage, SessionId,
-    SessionView, ShownFrame,
+    self, FrameQueue, OpenRequest, Registry, Replies, Reply, SessionId, SessionView, ShownFrame,
 };
-use geometry::{Camera, CameraParameters};
+use geometry::CameraParameters;
 use std::sync::Arc;
 use std::time::Duration;
 use store::{SessionChanges, SessionRecord, Store, StoredImage};
@@ -32,7 +34,9 @@ pub struct Service {
     config: Arc<Config>,
     store: Store,
     maps: MapQueries,
-    registry: Registry,
+    registry: Arc<Registry>,
+    operations: Operations,
+    localization: Localization,
     access: Arc<Access>,
     /// Sessions there are. Held while one is made, so that two at once cannot pass the limit.
     n_sessions: tokio::sync::Mutex<u64>,
@@ -57,13 +61,27 @@ impl Service {
     /// # Errors
     /// If the database cannot be read.
     pub async fn new(config: Arc<Config>, store: Store) -> Result<Self, ApiError> {
-        let registry = Registry::new(config.clone(), store.clone());
+        let registry = Arc::new(Registry::new(config.clone(), store.clone()));
+        let tools = Tools { registry: registry.clone(), store: store.clone() };
+        let operations = Operations::new(tools, config.sessions.n_operations, config.limits.max_operations);
+        let localization =
+            Localization::new(store.clone(), registry.clone(), config.decode_limits(), &config.sessions);
         let access = Access::new(config.access.clone(), config.quotas.clone(), store.clone()).await;
         let access = access.map_err(|error| ApiError::internal(format!("{error:#}")))?;
         let n_sessions = tokio::sync::Mutex::new(store.count_sessions_of("").await?);
         let localizations = Semaphore::new(config.sessions.n_localizations);
         let maps = MapQueries::new(store.clone(), config.data_dir.clone(), config.decode_limits());
-        Ok(Self { config, store, maps, registry, access, n_sessions, localizations })
+        Ok(Self {
+            config,
+            store,
+            maps,
+            registry,
+            operations,
+            localization,
+            access,
+            n_sessions,
+            localizations,
+        })
     }
 
     /// The session's options.
@@ -183,16 +201,24 @@ impl Service {
         Ok(self.view(id, record))
     }
 
-    /// Says how many metres a map unit of a session is, or, with `None`, that nobody knows.
+    /// Says how many metres a map unit of a session is: directly, by what somebody measured, or that nobody
+    /// knows.
     ///
     /// # Errors
-    /// If there is none of this id, or the number is not positive.
+    /// If there is none of this id, the number is not positive, or what was measured does not tell.
     pub async fn set_scale(
         &self,
         caller: &Caller,
         id: &SessionId,
-        metres_per_unit: Option<f64>,
-    ) -> Result<SessionView, ApiError> {
+        source: ScaleSource,
+    ) -> Result<(SessionView, Option<Measurement>), ApiError> {
+        self.registry.check_open()?;
+        self.store.get_session(id.as_str()).await?;
+        let measured = scale::measure(&self.store, id, &source).await?;
+        let metres_per_unit = match source {
+            ScaleSource::Given(metres) => Some(metres),
+            _ => measured.as_ref().map(|measured| measured.metres_per_unit),
+        };
         if metres_per_unit.is_some_and(|metres| !(metres.is_finite() && METRES_PER_UNIT.contains(&metres))) {
             let (least, most) = (METRES_PER_UNIT.start(), METRES_PER_UNIT.end());
             return Err(ApiError::invalid(
@@ -200,23 +226,23 @@ impl Service {
                 format!("must be a number from {least} to {most}"),
             ));
         }
-        self.registry.check_open()?;
-        self.store.get_session(id.as_str()).await?;
         let changes = SessionChanges { metres_per_unit: Some(metres_per_unit), ..SessionChanges::default() };
         let store = async { Ok(self.store.update_session(id.as_str(), &changes).await?) };
         let record = self.registry.set_scale(id, metres_per_unit, store).await?;
         access::record(caller, Change::Scaled, id);
-        Ok(self.view(id, record))
+        Ok((self.view(id, record), measured))
     }
 
-    /// Locates one image in a session's map, as of its last commit, without changing anything.
+    /// Locates one image in maps, as of their last commits, without changing anything.
     ///
     /// # Errors
-    /// If there is none of this id, the image cannot be used, or too many wait. A place that is not found is
-    /// no error.
-    pub async fn localize(&self, id: &SessionId, image: SentImage) -> Result<Located, ApiError> {
+    /// If there is no session of such an id, the image cannot be used, or too many wait. A place that is not
+    /// found is no error.
+    pub async fn localize(&self, question: Question) -> Result<Located, ApiError> {
         self.registry.check_open()?;
-        self.store.get_session(id.as_str()).await?;
+        for id in &question.sessions {
+            self.store.get_session(id.as_str()).await?;
+        }
         let turn = tokio::time::timeout(LOCALIZATION_PATIENCE, self.localizations.acquire()).await;
         let _turn = turn
             .map_err(|_elapsed| {
@@ -224,8 +250,23 @@ impl Service {
                 ApiError::new(ErrorCode::TooBusy, sentence)
             })?
             .map_err(ApiError::internal)?;
-        let context = LoadContext { store: &self.store, id };
-        session::localize(&context, image, self.config.decode_limits()).await
+        self.localization.locate(question).await
+    }
+
+    /// All sessions of a caller, to look for an image in.
+    ///
+    /// # Errors
+    /// If there is none, or there are more than are looked through at once.
+    pub async fn sessions_to_search(&self, caller: &Caller) -> Result<Vec<SessionId>, ApiError> {
+        let page = self.store.list_sessions_of(&caller.prefix(), None, MAX_PAGE_SIZE).await?;
+        if page.next.is_some() || page.items.len() > MAX_SESSIONS {
+            let sentence = format!("are more than {MAX_SESSIONS}; name those to look in");
+            return Err(ApiError::invalid("all_sessions", sentence));
+        }
+        if page.items.is_empty() {
+            return Err(ApiError::invalid("all_sessions", "there is no session to look in"));
+        }
+        Ok(page.items.into_iter().map(|record| caller.stored(record.id)).collect())
     }
 
     /// The map as a viewer draws it: what changed since a revision, or, where that is not known any more,
@@ -264,15 +305,51 @@ impl Service {
         self.registry.shown_frame(id, sequence).ok_or_else(|| no_frame(id, sequence))
     }
 
-    /// Global bundle adjustment of a session's map.
+    /// Begins global bundle adjustment of a session's map.
     ///
     /// # Errors
-    /// Always: this version has none.
-    pub async fn optimize(&self, id: &SessionId) -> Result<(), ApiError> {
+    /// If there is none of this id, a client streams into it, another operation works on it, or too many wait.
+    pub async fn optimize(&self, caller: &Caller, id: &SessionId) -> Result<Operation, ApiError> {
+        self.check_idle(id, "adjusting its map").await?;
+        let begun = self.operations.begin(caller, Kind::Optimize, id, None)?;
+        access::record(caller, Change::Optimized, id);
+        Ok(begun)
+    }
+
+    /// Begins to join one session's map and trajectory with another's.
+    ///
+    /// # Errors
+    /// As [`Self::optimize`], or if the two are one.
+    pub async fn merge(
+        &self,
+        caller: &Caller,
+        into: &SessionId,
+        from: &SessionId,
+    ) -> Result<Operation, ApiError> {
+        self.check_idle(into, "joining it with another").await?;
+        self.check_idle(from, "joining it with another").await?;
+        if into == from {
+            return Err(ApiError::invalid("from", "must be another session than the one it is joined with"));
+        }
+        check_stored_bytes(&self.store, caller).await?;
+        let begun = self.operations.begin(caller, Kind::Merge, into, Some(from))?;
+        access::record(caller, Change::Merged, into);
+        Ok(begun)
+    }
+
+    /// What takes long.
+    pub fn operations(&self) -> &Operations {
+        &self.operations
+    }
+
+    async fn check_idle(&self, id: &SessionId, purpose: &str) -> Result<(), ApiError> {
+        self.registry.check_open()?;
         self.store.get_session(id.as_str()).await?;
-        let sentence =
-            "this version has no global bundle adjustment; maps are adjusted locally while frames come in";
-        Err(ApiError::new(ErrorCode::NotAvailable, sentence))
+        if self.registry.view(id).is_some_and(|view| view.has_writer) {
+            let sentence = format!("a client streams into session {id}; end its stream before {purpose}");
+            return Err(ApiError::new(ErrorCode::WriterConnected, sentence));
+        }
+        Ok(())
     }
 
     /// Opens a stream of frames into a session; the answers go to `replies`, the session's state first.
@@ -368,14 +445,6 @@ async fn check_stored_bytes(store: &Store, caller: &Caller) -> Result<(), ApiErr
 fn no_frame(id: &SessionId, sequence: u64) -> ApiError {
     let sentence = format!("frame {sequence} of session {id} is not kept, or no longer");
     ApiError::new(ErrorCode::FrameNotFound, sentence)
-}
-
-/// A camera that can be worked with.
-///
-/// # Errors
-/// If a field of its calibration cannot be; the error names it.
-pub(crate) fn check_camera(camera: CameraParameters) -> Result<Camera, ApiError> {
-    Camera::new(camera).map_err(|error| ApiError::invalid(format!("camera.{}", error.field), error.message))
 }
 
 fn check_image_size(camera: &CameraParameters, max_pixels: u64) -> Result<(), ApiError> {

@@ -51,6 +51,7 @@
 mod blob;
 mod check;
 mod delete;
+mod descriptors;
 mod digest;
 mod error;
 mod frames;

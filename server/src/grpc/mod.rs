@@ -5,6 +5,7 @@ mod deadline;
 #[cfg(fuzzing)]
 pub mod fuzzing;
 mod maps;
+mod questions;
 mod stream;
 
 use crate::access::{self, Caller, Door};
@@ -151,9 +152,12 @@ impl SlamService for Handler {
         request: Request<v1::SetScaleRequest>,
     ) -> Result<Response<v1::Session>, Status> {
         let caller = caller_of(&request)?;
-        let v1::SetScaleRequest { session_id: id, metres_per_unit } = request.into_inner();
-        let view = self.service.set_scale(&caller, &session_id(&caller, &id)?, metres_per_unit).await?;
-        Ok(Response::new(convert::session(&view)))
+        let request = request.into_inner();
+        let id = session_id(&caller, &request.session_id)?;
+        let (view, measured) =
+            self.service.set_scale(&caller, &id, questions::scale_source(request)?).await?;
+        let scale_measurement = measured.map(questions::measurement);
+        Ok(Response::new(v1::Session { scale_measurement, ..convert::session(&view) }))
     }
 
     async fn localize(
@@ -161,19 +165,69 @@ impl SlamService for Handler {
         request: Request<v1::LocalizeRequest>,
     ) -> Result<Response<v1::LocalizeResponse>, Status> {
         let caller = caller_of(&request)?;
-        let v1::LocalizeRequest { session_id: id, image } = request.into_inner();
-        let id = session_id(&caller, &id)?;
-        let located = self.service.localize(&id, convert::image_to_locate(image)?).await?;
-        Ok(Response::new(convert::located(&located)))
+        let request = request.into_inner();
+        let sessions = if request.all_sessions {
+            self.service.sessions_to_search(&caller).await?
+        } else {
+            questions::sessions(&caller, &request)?
+        };
+        let located = self.service.localize(questions::localize(sessions, request)?).await?;
+        Ok(Response::new(questions::located(&located)))
     }
 
     async fn optimize_map(
         &self,
         request: Request<v1::OptimizeMapRequest>,
-    ) -> Result<Response<v1::OptimizeMapResponse>, Status> {
+    ) -> Result<Response<v1::Operation>, Status> {
         let caller = caller_of(&request)?;
-        self.service.optimize(&session_id(&caller, &request.get_ref().session_id)?).await?;
-        Ok(Response::new(v1::OptimizeMapResponse {}))
+        let id = session_id(&caller, &request.get_ref().session_id)?;
+        Ok(Response::new(questions::operation(&self.service.optimize(&caller, &id).await?)))
+    }
+
+    async fn merge_sessions(
+        &self,
+        request: Request<v1::MergeSessionsRequest>,
+    ) -> Result<Response<v1::Operation>, Status> {
+        let caller = caller_of(&request)?;
+        let v1::MergeSessionsRequest { into, from } = request.into_inner();
+        let into = caller.session(&into, "into")?;
+        // Whether there is one is told before anything is said of the other.
+        self.service.get_session(&into).await?;
+        let from = caller.session(&from, "from")?;
+        Ok(Response::new(questions::operation(&self.service.merge(&caller, &into, &from).await?)))
+    }
+
+    async fn get_operation(
+        &self,
+        request: Request<v1::GetOperationRequest>,
+    ) -> Result<Response<v1::Operation>, Status> {
+        let caller = caller_of(&request)?;
+        let id = &request.get_ref().operation_id;
+        Ok(Response::new(questions::operation(&self.service.operations().get(&caller, id)?)))
+    }
+
+    async fn list_operations(
+        &self,
+        request: Request<v1::ListOperationsRequest>,
+    ) -> Result<Response<v1::ListOperationsResponse>, Status> {
+        let caller = caller_of(&request)?;
+        let session = Some(&request.get_ref().session_id).filter(|id| !id.is_empty());
+        let session = session.map(|id| session_id(&caller, id)).transpose()?;
+        if let Some(id) = &session {
+            self.service.get_session(id).await?;
+        }
+        let operations = self.service.operations().list(&caller, session.as_ref());
+        let operations = operations.iter().map(questions::operation).collect();
+        Ok(Response::new(v1::ListOperationsResponse { operations }))
+    }
+
+    async fn cancel_operation(
+        &self,
+        request: Request<v1::CancelOperationRequest>,
+    ) -> Result<Response<v1::Operation>, Status> {
+        let caller = caller_of(&request)?;
+        let id = &request.get_ref().operation_id;
+        Ok(Response::new(questions::operation(&self.service.operations().cancel(&caller, id)?)))
     }
 
     type WatchMapStream = SessionEvents;

@@ -10,10 +10,12 @@ mod lines;
 mod localize;
 mod map;
 mod model;
+mod operations;
 mod place;
 mod points;
 mod primitives;
 mod problem;
+mod scale;
 mod scene;
 mod sessions;
 mod stream;
@@ -48,6 +50,8 @@ pub use trajectory::{Format, TrajectoryWriter};
 
 /// Largest request body but for images: requests are a calibration and a few options.
 const MAX_BODY_BYTES: usize = 64 << 10;
+/// Largest request with reference positions: 100 000 rows of a hundred letters.
+const MAX_POSITIONS_BYTES: usize = 10 << 20;
 
 /// Observations are folded together this often, so that they do not pile up when nobody reads the metrics.
 const METRICS_FOLDED_EVERY: Duration = Duration::from_secs(5);
@@ -96,8 +100,12 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(sessions::list, sessions::create))
         .routes(routes!(sessions::get, sessions::update, sessions::delete))
-        .routes(routes!(sessions::scale))
-        .routes(routes!(sessions::optimize))
+        .routes(routes!(scale::scale).layer(DefaultBodyLimit::max(MAX_POSITIONS_BYTES)))
+        .routes(routes!(operations::optimize))
+        .routes(routes!(operations::merge))
+        .routes(routes!(operations::list))
+        .routes(routes!(operations::get))
+        .routes(routes!(operations::cancel))
         .routes(routes!(scene::picture))
         .routes(routes!(events::events))
         .routes(routes!(stream::stream))
@@ -116,6 +124,7 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
         .routes(routes!(scene::scene))
         .routes(routes!(map::map))
         .routes(routes!(localize::localize).layer(DefaultBodyLimit::max(max_image_bytes)))
+        .routes(routes!(localize::localize_among).layer(DefaultBodyLimit::max(max_image_bytes)))
         .routes(routes!(tickets::issue, tickets::forget))
         .routes(routes!(system::healthz))
         .routes(routes!(system::readyz))

@@ -31,15 +31,6 @@ pub struct UpdateSession {
     pub options: SessionOptions,
 }
 
-/// How long a map unit is.
-#[derive(Clone, Debug, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct SetScale {
-    /// Metres per map unit, above 0; `null` frees the scale.
-    #[serde(deserialize_with = "Option::deserialize")]
-    pub metres_per_unit: Option<f64>,
-}
-
 /// A session.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub struct Session {

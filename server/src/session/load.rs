@@ -8,7 +8,7 @@ use crate::error::{ApiError, ErrorCode};
 use crate::options::engine_config_of;
 use geometry::Camera;
 use slam::map::FrameState;
-use slam::{MapUpdate, Pipeline, ResumeState, SlamConfig, Threading};
+use slam::{MapUpdate, Pipeline, ResumeState, SlamConfig};
 use std::sync::{Arc, Mutex, PoisonError};
 use store::{KeyframeImage, LoadedSession, SessionStatus, Store, StoredFrame};
 
@@ -28,9 +28,12 @@ pub struct StoredSession {
     pub last_state: FrameState,
     /// Metres per map unit; `None` while the scale is free.
     pub metres_per_unit: Option<f64>,
-    config: SlamConfig,
-    camera: Camera,
-    state: ResumeState,
+    /// What its engine runs with.
+    pub config: SlamConfig,
+    /// Its camera.
+    pub camera: Camera,
+    /// Its map and its last frame.
+    pub state: ResumeState,
 }
 
 impl StoredSession {
@@ -78,18 +81,6 @@ pub fn resume(stored: StoredSession) -> Result<Pipeline, ApiError> {
         tracing::error!(error = %error, "a stored session cannot be taken up: {error}");
         ApiError::new(ErrorCode::DataLoss, "the stored map cannot be taken up; the server's log says why")
     })
-}
-
-/// Makes an engine that locates one image, whatever its time and number, and changes nothing; as [`resume`].
-///
-/// # Errors
-/// If the stored map is inconsistent.
-pub fn resume_to_locate(mut stored: StoredSession) -> Result<Pipeline, ApiError> {
-    stored.config.threading = Threading::Inline;
-    stored.state.last_frame = None;
-    let mut pipeline = resume(stored)?;
-    pipeline.set_mapping(false);
-    Ok(pipeline)
 }
 
 /// The stored frames of one session.

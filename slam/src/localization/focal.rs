@@ -126,9 +126,7 @@ pub(super) fn refine(frame: &TrackedFrame, map: &Map, pinhole: &Pinhole) -> Opti
         .points
         .iter()
         .enumerate()
-        .filter_map(|(feature_idx, id)| {
-            sighting(&frame.features, feature_idx, map.point((*id)?)?.position)
-        })
+        .filter_map(|(feature_idx, id)| sighting(&frame.features, feature_idx, map.point((*id)?)?.position))
         .collect();
     if sightings.len() < MIN_INLIERS {
         return None;

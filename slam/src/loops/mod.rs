@@ -116,12 +116,7 @@ impl LoopCloser {
     }
 
     /// The first candidate that geometry confirms.
-    fn confirmed(
-        &mut self,
-        map: &Map,
-        id: KeyframeId,
-        candidates: Vec<KeyframeId>,
-    ) -> Option<Recognition> {
+    fn confirmed(&mut self, map: &Map, id: KeyframeId, candidates: Vec<KeyframeId>) -> Option<Recognition> {
         candidates.into_iter().find_map(|matched| {
             let place = Place::around(map, matched, id, self.config.loops.n_window_neighbors)?;
             let aligned = alignment::align(map, id, &place, &self.config, &mut self.rng)?;

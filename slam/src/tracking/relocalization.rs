@@ -85,7 +85,7 @@ impl Relocalizer {
     /// Begins as if nothing had been looked for, and looks near a place only.
     pub fn begin_anew(&mut self, near: Option<(Vector3<f64>, f64)>) {
         self.rng = ChaCha8Rng::seed_from_u64(self.seed);
-        (self.vanishing, self.near, self.n_candidates) = (None, near, 0);
+        (self.vanishing, self.near) = (None, near);
     }
 
     /// Places that were tried for the last frame.
@@ -97,9 +97,7 @@ impl Relocalizer {
     pub fn candidates(&mut self, view: &View, map: &Map, except: Option<SubmapId>) -> Vec<KeyframeId> {
         let near = self.near;
         let is_near = |keyframe: &Keyframe| {
-            near.is_none_or(|(place, radius)| {
-                (keyframe.camera_from_world.center() - place).norm() <= radius
-            })
+            near.is_none_or(|(place, radius)| (keyframe.camera_from_world.center() - place).norm() <= radius)
         };
         let is_wanted = |id| {
             map.keyframe(id).is_some_and(|keyframe| Some(keyframe.submap) != except && is_near(keyframe))
