@@ -13,6 +13,7 @@ use crate::session::{
     self, FrameQueue, OpenRequest, Registry, Replies, Reply, SessionId, SessionView, ShownFrame,
 };
 use geometry::CameraParameters;
+use std::hash::{BuildHasher, Hash, Hasher, RandomState};
 use std::sync::Arc;
 use std::time::Duration;
 use store::{SessionChanges, SessionRecord, Store, StoredImage};
@@ -42,6 +43,8 @@ pub struct Service {
     n_sessions: tokio::sync::Mutex<u64>,
     /// Single images that may be located at the same time.
     localizations: Semaphore,
+    /// Seeded by this start of the server.
+    tags: RandomState,
 }
 
 /// A session to be made.
@@ -81,6 +84,7 @@ impl Service {
             access,
             n_sessions,
             localizations,
+            tags: RandomState::new(),
         })
     }
 
@@ -267,6 +271,21 @@ impl Service {
             return Err(ApiError::invalid("all_sessions", "there is no session to look in"));
         }
         Ok(page.items.into_iter().map(|record| caller.stored(record.id)).collect())
+    }
+
+    /// Names the state of a session's map and of what its lengths mean; another one after each change, and
+    /// after each start of the server.
+    ///
+    /// # Errors
+    /// If there is none of this id.
+    pub async fn map_tag(&self, id: &SessionId) -> Result<String, ApiError> {
+        let revision = self.registry.revision(id);
+        let record = self.store.get_session(id.as_str()).await?;
+        let mut hasher = self.tags.build_hasher();
+        (id.as_str(), record.created_at_ns, record.last_frame).hash(&mut hasher);
+        let changing = (revision, record.counts, record.metres_per_unit, record.correction, record.camera);
+        format!("{changing:?}").hash(&mut hasher);
+        Ok(format!("{:016x}", hasher.finish()))
     }
 
     /// The map as a viewer draws it: what changed since a revision, or, where that is not known any more,

@@ -9,6 +9,8 @@ mod encryption;
 mod isolation;
 mod kidnap;
 mod maps;
+mod operations;
+mod places;
 mod shutdown;
 mod storage;
 mod tracking;

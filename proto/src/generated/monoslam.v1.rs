@@ -424,8 +424,8 @@ pub mod operation {
         Merged(super::MergeResult),
     }
 }
-/// Cost: half the sum of the squared errors of all sightings of points and lines, in standard deviations, large ones counted
-/// less. The same sightings before and after.
+/// Cost: half the sum of the squared errors of all sightings of points and lines, in standard deviations, each counted up to
+/// that of one that just agrees. The same sightings before and after. A map that would not agree better stays as it is.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct OptimizeResult {
     #[prost(double, tag = "1")]

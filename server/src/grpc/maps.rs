@@ -197,6 +197,7 @@ fn keyframe(keyframe: Keyframe) -> v1::Keyframe {
         submap_id,
         sequence,
         timestamp_ns,
+        timestamp_ns_text: _,
         world_from_camera,
         parent,
         n_keypoints,

@@ -24,6 +24,7 @@ use std::time::Duration;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt};
 use tokio_util::sync::CancellationToken;
+use tonic::codec::CompressionEncoding;
 use tonic::codegen::http::{HeaderName, HeaderValue};
 use tonic::service::Routes;
 use tonic::{Request, Response, Status};
@@ -76,13 +77,22 @@ async fn report_health(service: Arc<Service>, reporter: HealthReporter, closing:
 
 /// The service with reflection, without a socket and without a door.
 fn routes(service: Arc<Service>) -> anyhow::Result<Routes> {
-    let reflection = tonic_reflection::server::Builder::configure()
-        .register_encoded_file_descriptor_set(proto::FILE_DESCRIPTOR_SET)
-        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-        .build_v1()?;
+    let reflection = || {
+        tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(proto::FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+    };
     let max_bytes = service.config().limits.max_message_bytes;
-    let slam = SlamServiceServer::new(Handler { service }).max_decoding_message_size(max_bytes);
-    Ok(Routes::new(slam).add_service(reflection))
+    // The limit is of what a message unpacks to as well.
+    let slam = SlamServiceServer::new(Handler { service })
+        .max_decoding_message_size(max_bytes)
+        .accept_compressed(CompressionEncoding::Gzip)
+        .accept_compressed(CompressionEncoding::Zstd)
+        .send_compressed(CompressionEncoding::Gzip)
+        .send_compressed(CompressionEncoding::Zstd);
+    // Many programs still ask by the older name.
+    let older = reflection().build_v1alpha()?;
+    Ok(Routes::new(slam).add_service(reflection().build_v1()?).add_service(older))
 }
 
 /// The server's side of a watch.

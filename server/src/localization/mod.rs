@@ -157,7 +157,8 @@ impl Localization {
         let ranked = self.rank(sessions, image).await?;
         let mut load_ns = begin.elapsed().as_nanos() as u64;
         let (mut best, mut n_tried, mut locate_ns) = (None::<Located>, 0, 0);
-        for id in ranked.iter().take(MAX_TRIED) {
+        let alike = ranked.iter().filter(|(votes, _)| *votes >= MIN_VOTES).map(|(_, id)| id);
+        for id in alike.take(MAX_TRIED) {
             let located = self.locate_in(id, image, camera, near).await?;
             n_tried += 1;
             load_ns += located.load_ns;
@@ -171,8 +172,11 @@ impl Localization {
         }
         let mut best = match best {
             Some(best) => best,
-            // Nothing looks like it: told by the map that does so least badly.
-            None => self.locate_in(sessions.first().ok_or_else(no_session)?, image, camera, near).await?,
+            // Nothing looks like it: the map that does so least badly tells why it is not found.
+            None => {
+                let first = ranked.first().map(|(_, id)| id).or(sessions.first());
+                self.locate_in(first.ok_or_else(no_session)?, image, camera, near).await?
+            }
         };
         if best.report.world_from_camera.is_none() {
             best.session = None;
@@ -180,8 +184,12 @@ impl Localization {
         Ok(Located { n_searched: sessions.len() as u32, n_tried, load_ns, locate_ns, ..best })
     }
 
-    /// The sessions whose maps look like the image, the most first.
-    async fn rank(&self, sessions: &[SessionId], image: &Arc<GrayImage>) -> Result<Vec<SessionId>, ApiError> {
+    /// The sessions that have maps, by how many descriptors speak for each; the most first.
+    async fn rank(
+        &self,
+        sessions: &[SessionId],
+        image: &Arc<GrayImage>,
+    ) -> Result<Vec<(u32, SessionId)>, ApiError> {
         let seen = image.clone();
         let looks =
             tokio::task::spawn_blocking(move || looks_of(&seen)).await.map_err(ApiError::internal)??;
@@ -207,12 +215,10 @@ impl Localization {
             };
             let (sketch, votes) = tokio::task::spawn_blocking(voting).await.map_err(ApiError::internal)?;
             self.0.sketches.put(id.clone(), state, sketch.n_bytes(), sketch);
-            if votes >= MIN_VOTES {
-                ranked.push((votes, id.clone()));
-            }
+            ranked.push((votes, id.clone()));
         }
         ranked.sort_by(|(a, a_id), (b, b_id)| b.cmp(a).then_with(|| a_id.cmp(b_id)));
-        Ok(ranked.into_iter().map(|(_, id)| id).collect())
+        Ok(ranked)
     }
 
     /// In one map.

@@ -1,6 +1,8 @@
 //! The HTTP skin: decode, call the service, encode.
 
 mod assets;
+mod conditional;
+mod document;
 mod events;
 mod extract;
 mod frames;
@@ -36,6 +38,7 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use tower::util::option_layer;
 use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::compression::CompressionLayer;
 use tower_http::cors::{AllowOrigin, CorsLayer};
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
 use utoipa::{Modify, OpenApi};
@@ -140,7 +143,8 @@ pub fn router(app: App) -> Router {
     let cors = option_layer((!origins.is_empty()).then(|| cors(origins)));
     let door = Door { access, interface: Interface::Http };
     let max_image_bytes = app.service.config().limits.max_message_bytes;
-    let (router, document) = api(max_image_bytes).split_for_parts();
+    let (router, mut document) = api(max_image_bytes).split_for_parts();
+    document::complete(&mut document);
     let document = Arc::new(document);
     router
         .route(
@@ -154,7 +158,10 @@ pub fn router(app: App) -> Router {
         .fallback(problem::not_found)
         .method_not_allowed_fallback(problem::method_not_allowed)
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
+        .layer(axum::middleware::from_fn_with_state(app.clone(), conditional::answer))
         .layer(axum::middleware::from_fn_with_state(door, access::check))
+        // Images and events go as they are.
+        .layer(CompressionLayer::new())
         .layer(cors)
         .layer(CatchPanicLayer::custom(panicked))
         .with_state(app)
@@ -173,7 +180,9 @@ fn cors(origins: &[String]) -> CorsLayer {
 
 /// The OpenAPI document.
 pub fn openapi() -> utoipa::openapi::OpenApi {
-    api(0).split_for_parts().1
+    let mut document = api(0).split_for_parts().1;
+    document::complete(&mut document);
+    document
 }
 
 /// Serves HTTP until `closing`, then lets what is under way end.

@@ -62,14 +62,17 @@ pub(super) struct Operation {
     created_at_ns: i64,
     /// Likewise; `null` before it ends.
     ended_at_ns: Option<i64>,
+    /// When it began, in text, for programs whose numbers do not hold all the digits.
+    created_at_ns_text: String,
     /// What adjusting a map came to.
     optimized: Option<OptimizeResult>,
     /// What joining two maps came to.
     merged: Option<MergeResult>,
 }
 
-/// Cost: half the sum of the squared errors of all sightings of points and lines, in standard deviations,
-/// large ones counted less. The same sightings before and after.
+/// Cost: half the sum of the squared errors of all sightings of points and lines, in standard deviations, each
+/// counted up to that of one that just agrees. The same sightings before and after. A map that would not agree
+/// better stays as it is.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(super) struct OptimizeResult {
     /// Before.
@@ -180,6 +183,7 @@ impl From<Told> for Operation {
             n_iterations: told.n_iterations,
             message,
             error_code: told.error.map(|error| error.code.name()),
+            created_at_ns_text: told.created_at_ns.to_string(),
             created_at_ns: told.created_at_ns,
             ended_at_ns: told.ended_at_ns,
             optimized,

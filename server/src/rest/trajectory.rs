@@ -193,6 +193,8 @@ impl Format {
 struct JsonPose {
     sequence: u64,
     timestamp_ns: i64,
+    /// For programs whose numbers do not hold all the digits.
+    timestamp_ns_text: String,
     state: TrackingState,
     submap_id: u32,
     backfilled: bool,
@@ -250,8 +252,16 @@ impl TrajectoryWriter {
             Format::Json => {
                 let world_from_camera = Pose { tx, ty, tz, qx, qy, qz, qw };
                 let submap_id = submap.0;
-                let row =
-                    JsonPose { sequence, timestamp_ns, state, submap_id, backfilled, world_from_camera };
+                let timestamp_ns_text = timestamp_ns.to_string();
+                let row = JsonPose {
+                    sequence,
+                    timestamp_ns,
+                    timestamp_ns_text,
+                    state,
+                    submap_id,
+                    backfilled,
+                    world_from_camera,
+                };
                 let comma = if self.n_written == 1 { "\n" } else { ",\n" };
                 // Numbers and words only: nothing that JSON cannot say, as poses are finite.
                 format!("{comma}{}", serde_json::to_string(&row).unwrap_or_default())

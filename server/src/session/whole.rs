@@ -13,7 +13,7 @@ use store::{FrameEntry, SessionStatus};
 /// What adjusting a map came to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adjusted {
-    /// Robust cost of all sightings of points and lines before.
+    /// Cost of all sightings of points and lines before.
     pub cost_before: f64,
     /// And afterwards.
     pub cost_after: f64,
@@ -40,7 +40,7 @@ pub struct Joined {
     pub timestamp_shift_ns: i64,
     /// Loops closed inside of the joined map.
     pub n_loops: usize,
-    /// Robust cost before the adjustment that followed, and after.
+    /// Cost before the adjustment that followed, and after.
     pub costs: (f64, f64),
 }
 

@@ -30,7 +30,7 @@ async fn large_world() -> (TestServer, Client) {
     let mut world = structured(7, LARGE);
     world.points.iter_mut().for_each(|point| point.submap = SubmapId((point.id.get() % 2) as u32));
     let (server, mut client) = serve(&world).await;
-    let scale = v1::SetScaleRequest { session_id: "s".into(), metres_per_unit: Some(2.5) };
+    let scale = v1::SetScaleRequest { session_id: "s".into(), metres_per_unit: Some(2.5), reference: None };
     client.set_scale(scale).await.unwrap();
     (server, client)
 }

@@ -27,7 +27,7 @@ pub(crate) struct GlobalResult {
     correction: Option<CameraCorrection>,
 }
 
-/// The robust cost of all sightings of a submap's points and lines.
+/// The cost of all sightings of a submap's points and lines (`Adjustment::cost_of_all_sightings`).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Costs {
     pub before: f64,

@@ -3,14 +3,14 @@
 //! Few matches agree with a pose under a focal length that is far off. So several are tried with the places
 //! that look like the image, and the best ones are then fitted together with the pose.
 
-use super::{Localizer, Near, simple_camera};
+use super::{Localizer, N_MATCHED_NEIGHBORS, Near, simple_camera};
 use crate::bundle::factors::PointReprojectionFactor;
 use crate::clock::{NoClock, Stopwatch};
 use crate::config::SlamConfig;
 use crate::features::FrameFeatures;
 use crate::input::ResumeError;
 use crate::map::Map;
-use crate::matching::match_keyframe;
+use crate::matching::match_place;
 use crate::tracking::frame::TrackedFrame;
 use geometry::absolute_pose::{PoseObservation, ransac_pose};
 use geometry::nalgebra::{Vector2, Vector3};
@@ -73,7 +73,7 @@ impl Localizer {
         let mut guesses = Vec::new();
         for id in self.tracker.places_like(&view, &self.map, near.map(|near| (near.position, near.radius))) {
             let Some(keyframe) = self.map.keyframe(id) else { continue };
-            let matches = match_keyframe(keyframe, &view.features);
+            let matches = match_place(keyframe, &view.features, &self.map, N_MATCHED_NEIGHBORS);
             let sightings: Vec<Sighting> = matches
                 .iter()
                 .filter_map(|(feature_idx, point)| {

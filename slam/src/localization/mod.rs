@@ -29,6 +29,14 @@ const MIN_WORKING_SIDE_PX: f64 = 320.0;
 const MIN_SHORT_SIDE_PX: f64 = 96.0;
 /// Focal lengths an image can have, as shares of its larger side: 150 to 10 degrees.
 const FOCAL_SHARES: std::ops::RangeInclusive<f64> = 0.13..=6.0;
+/// Places tried for an image, at most: nothing is known of where it was taken, and nobody waits for the next
+/// frame.
+const MAX_CANDIDATES: usize = 12;
+/// Neighbors of each whose points are matched as well.
+const N_MATCHED_NEIGHBORS: usize = 4;
+/// Keypoints asked of the extractor, as a multiple of what a frame of the session has: what a map knows of a
+/// place is a part of what can be found there, and it is not always the strongest corners.
+const MORE_FEATURES: usize = 2;
 /// A focal length that was found anew and differs by less, as a share, is as good as it was.
 const SAME_FOCAL: f64 = 0.004;
 /// Looks at an image with a focal length that is found better each time, at most.
@@ -96,7 +104,10 @@ impl Localizer {
         clock: Arc<dyn Clock>,
     ) -> Result<Self, ResumeError> {
         config.validate()?;
-        let config = SlamConfig { threading: Threading::Inline, ..config };
+        let mut config = SlamConfig { threading: Threading::Inline, ..config };
+        config.relocalization.max_candidates = config.relocalization.max_candidates.max(MAX_CANDIDATES);
+        config.relocalization.n_matched_neighbors = N_MATCHED_NEIGHBORS;
+        config.orb.n_features *= MORE_FEATURES;
         let map = Map::from_parts(map)?;
         let mut tracker = Tracker::new(config.clone(), config.working_camera(&camera))?;
         tracker.sync_map(&map);

@@ -67,7 +67,7 @@ pub struct Merged {
     pub sequence_shift: i128,
     /// What was added to their times, nanoseconds.
     pub timestamp_shift_ns: i64,
-    /// Robust cost of the joined submaps' sightings before the adjustment, and after.
+    /// Cost of the joined submaps' sightings before the adjustment, and after.
     pub costs: (f64, f64),
 }
 

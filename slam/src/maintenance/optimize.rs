@@ -11,8 +11,8 @@ use std::sync::Arc;
 pub struct Optimized {
     /// What is to be stored.
     pub update: MapUpdate,
-    /// Robust cost of all sightings of points and lines before: half the sum of their squared errors in
-    /// standard deviations, large ones counted less.
+    /// Cost of all sightings of points and lines before: half the sum of their squared errors in standard
+    /// deviations, each counted up to that of one that just agrees (χ² of 95 %).
     pub cost_before: f64,
     /// The same sightings' cost afterwards.
     pub cost_after: f64,

@@ -7,7 +7,7 @@ use crate::config::{ConfigError, PrimitiveConfig, RelocalizationConfig, SlamConf
 use crate::features::View;
 use crate::keyframe_index::KeyframeIndex;
 use crate::map::{Keyframe, KeyframeId, Map, PointId, SubmapId};
-use crate::matching::{Expected, match_keyframe, search_by_motion};
+use crate::matching::{Expected, match_place, search_by_motion};
 use crate::vanishing::VanishingFinder;
 use geometry::Pose;
 use geometry::absolute_pose::{PoseObservation, ransac_pose, ransac_pose_with_rotations};
@@ -111,7 +111,7 @@ impl Relocalizer {
     /// The frame with a pose and matches, if the place of a [candidate](Self::candidates) fits it: by its
     /// points, or, where few are matched, by those and the directions that both show.
     pub fn try_place(&mut self, view: &View, keyframe: &Keyframe, map: &Map) -> Option<TrackedFrame> {
-        let matches = Matches::of(view, keyframe, map);
+        let matches = Matches::of(view, keyframe, map, self.config.n_matched_neighbors);
         if matches.known.len() >= self.config.min_matches {
             let placed = self.place(view, keyframe, &matches, &Start::Matches, map);
             if placed.is_some() {
@@ -215,10 +215,10 @@ impl Relocalizer {
 }
 
 impl Matches {
-    fn of(view: &View, keyframe: &Keyframe, map: &Map) -> Self {
+    fn of(view: &View, keyframe: &Keyframe, map: &Map, n_neighbors: usize) -> Self {
         let features = &view.features;
         let focal_px = features.pinhole.mean_focal_px();
-        let (known, observations) = match_keyframe(keyframe, features)
+        let (known, observations) = match_place(keyframe, features, map, n_neighbors)
             .into_iter()
             .filter_map(|(feature_idx, id)| {
                 let observation = PoseObservation {
