@@ -99,8 +99,8 @@ pub struct SessionConfig {
     pub idle_stream_s: f64,
     /// Operations that run at the same time. Default 1: each takes every core for parts of its time.
     pub n_operations: usize,
-    /// Memory for what maps look like, to find the one that an image shows, MiB. Default 256: some 200 maps of
-    /// 150 keyframes; with less, maps are read again for each image.
+    /// Memory for what maps look like, to find the one that an image shows, MiB. Default 256: some 200 maps
+    /// of 150 keyframes; with less, maps are read again for each image.
     pub localization_index_mb: usize,
     /// Keyframes of maps that are kept ready to locate images in. Default 400, some 80 MB; 0 keeps none. What
     /// is not used for `idle_unload_s` goes.

@@ -2,7 +2,7 @@
 //! made of the first 600 frames of 7-Scenes RedKitchen, and later ones are looked for in it whole, halved,
 //! cropped, and with the focal length withheld; images of other places must not be found.
 
-use geometry::{Camera, CameraModel, CameraParameters, Pose, Similarity};
+use geometry::{Camera, CameraParameters, Pose, Similarity};
 use nalgebra::{UnitQuaternion, Vector3};
 use recordings::{Recording, Trajectory, find_folder};
 use slam::map::FrameState;

@@ -73,7 +73,7 @@ pub struct Located {
     pub session: Option<SessionId>,
     /// What came of the image.
     pub report: FrameOutcome,
-    /// Covariance of position (as lengths are told) and attitude (radians about the world's axes), row by row.
+    /// Covariance of position (as lengths are told) and attitude (radians about the world's axes).
     pub covariance: Option<Matrix6<f64>>,
     /// The camera it was located with.
     pub camera: Option<CameraParameters>,

@@ -1,5 +1,5 @@
-//! Conditional requests (RFC 9110, 13): what is asked of a map has the tag of the map's state, and who has the
-//! answer of that state already is told so instead of being sent it again.
+//! Conditional requests (RFC 9110, 13): what is asked of a map has the tag of the map's state, and who has
+//! the answer of that state already is told so instead of being sent it again.
 
 use super::App;
 use crate::access::Caller;

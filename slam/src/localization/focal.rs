@@ -197,6 +197,10 @@ mod tests {
         }
         let usual = Pinhole { fx: 500.0, fy: 500.0, cx: 0.0, cy: 0.0 };
         let found = guess(&sightings, &usual, &mut ChaCha8Rng::seed_from_u64(1)).unwrap();
-        assert!(found.n_inliers > 50 && (found.focal_px / focal_px - 1.0).abs() < 2e-3, "{}", found.focal_px);
+        assert!(
+            found.n_inliers >= MIN_INLIERS && (found.focal_px / focal_px - 1.0).abs() < 2e-3,
+            "{}",
+            found.focal_px
+        );
     }
 }
