@@ -72,6 +72,19 @@ mod tests {
             "monoslam sessions show lab~kitchen",
             "monoslam sessions show a --server http://h:50051",
             "monoslam sessions delete a --server http://h:50051",
+            "monoslam stream data --session a --localize-only",
+            "monoslam trajectory a --submap largest",
+            "monoslam trajectory a --submap 3",
+            "monoslam scale a --metres 0.25",
+            "monoslam scale a --free",
+            "monoslam scale a --distance 1.5 --from point:3 --to keyframe:7@120,80.5",
+            "monoslam scale a --positions gps.txt --by-time --max-error 2 --json",
+            "monoslam localize a.jpg b.jpg --session x --session y --fov 70",
+            "monoslam localize a.jpg --camera unknown --near -1,2,3 --radius 4 --json",
+            "monoslam optimize a --detach",
+            "monoslam merge a b --json",
+            "monoslam operations list --session a",
+            "monoslam operations cancel op-1",
         ] {
             assert!(accepted(line), "{line}");
         }
@@ -93,6 +106,12 @@ mod tests {
             "monoslam evaluate truth.txt estimate.txt --max-dt -1",
             "monoslam evaluate truth.txt estimate.txt --align affine",
             "monoslam trajectory a --format xml",
+            "monoslam trajectory a --submap some",
+            "monoslam stream data --localize-only",
+            "monoslam scale a",
+            "monoslam scale a --free --metres 2",
+            "monoslam scale a --distance 2 --from point:1",
+            "monoslam localize",
             "monoslam bench",
             "monoslam bench one --runs 0",
         ] {

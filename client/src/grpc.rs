@@ -208,7 +208,24 @@ impl SlamClient {
         session_id: &str,
         metres_per_unit: Option<f64>,
     ) -> Result<v1::Session, ClientError> {
-        let request = v1::SetScaleRequest { session_id: session_id.to_owned(), metres_per_unit };
+        let session_id = session_id.to_owned();
+        let request = v1::SetScaleRequest { session_id, metres_per_unit, reference: None };
+        let answer = self.grpc.set_scale(request).await;
+        self.unpack(answer)
+    }
+
+    /// Finds how many metres a map unit of the session is from a known distance or positions; the session's
+    /// `scale_measurement` tells how well.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, `INVALID_ARGUMENT`, or `FAILED_PRECONDITION` if the reference does not determine it.
+    pub async fn measure_scale(
+        &mut self,
+        session_id: &str,
+        reference: v1::set_scale_request::Reference,
+    ) -> Result<v1::Session, ClientError> {
+        let (session_id, reference) = (session_id.to_owned(), Some(reference));
+        let request = v1::SetScaleRequest { session_id, metres_per_unit: None, reference };
         let answer = self.grpc.set_scale(request).await;
         self.unpack(answer)
     }
@@ -223,8 +240,71 @@ impl SlamClient {
         session_id: &str,
         image: v1::Image,
     ) -> Result<v1::LocalizeResponse, ClientError> {
-        let request = v1::LocalizeRequest { session_id: session_id.to_owned(), image: Some(image) };
+        let session_id = session_id.to_owned();
+        self.localize_with(v1::LocalizeRequest { session_id, image: Some(image), ..Default::default() }).await
+    }
+
+    /// As [`Self::localize`], with everything that can be said: another camera, several sessions, where to
+    /// look.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, or `INVALID_ARGUMENT` if the image or what is said of its camera cannot be used.
+    pub async fn localize_with(
+        &mut self,
+        request: v1::LocalizeRequest,
+    ) -> Result<v1::LocalizeResponse, ClientError> {
         let answer = self.grpc.localize(request).await;
+        self.unpack(answer)
+    }
+
+    /// Begins global bundle adjustment of an idle session's map; it goes on when the client leaves.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, `FAILED_PRECONDITION` while a writer is connected or another operation works on it, or
+    /// `RESOURCE_EXHAUSTED` where too many wait.
+    pub async fn optimize_map(&mut self, session_id: &str) -> Result<v1::Operation, ClientError> {
+        let answer =
+            self.grpc.optimize_map(v1::OptimizeMapRequest { session_id: session_id.to_owned() }).await;
+        self.unpack(answer)
+    }
+
+    /// Begins to join one session with another where their maps show the same place.
+    ///
+    /// # Errors
+    /// As [`Self::optimize_map`].
+    pub async fn merge_sessions(&mut self, into: &str, from: &str) -> Result<v1::Operation, ClientError> {
+        let request = v1::MergeSessionsRequest { into: into.to_owned(), from: from.to_owned() };
+        let answer = self.grpc.merge_sessions(request).await;
+        self.unpack(answer)
+    }
+
+    /// How far an operation is.
+    ///
+    /// # Errors
+    /// `NOT_FOUND` if there is none of this id, or no longer.
+    pub async fn operation(&mut self, operation_id: &str) -> Result<v1::Operation, ClientError> {
+        let request = v1::GetOperationRequest { operation_id: operation_id.to_owned() };
+        let answer = self.grpc.get_operation(request).await;
+        self.unpack(answer)
+    }
+
+    /// Operations on all sessions, or on one, the newest first.
+    ///
+    /// # Errors
+    /// `NOT_FOUND` if there is no such session.
+    pub async fn operations(&mut self, session_id: Option<&str>) -> Result<Vec<v1::Operation>, ClientError> {
+        let session_id = session_id.unwrap_or_default().to_owned();
+        let answer = self.grpc.list_operations(v1::ListOperationsRequest { session_id }).await;
+        Ok(self.unpack(answer)?.operations)
+    }
+
+    /// Asks an operation to end without a result.
+    ///
+    /// # Errors
+    /// `NOT_FOUND` if there is none of this id, or no longer.
+    pub async fn cancel_operation(&mut self, operation_id: &str) -> Result<v1::Operation, ClientError> {
+        let request = v1::CancelOperationRequest { operation_id: operation_id.to_owned() };
+        let answer = self.grpc.cancel_operation(request).await;
         self.unpack(answer)
     }
 

@@ -74,6 +74,46 @@ impl TrajectoryKind {
     const ALL: [(Self, &str); 2] = [(Self::Frames, "frames"), (Self::Keyframes, "keyframes")];
 }
 
+/// Whose poses a trajectory has: submaps do not share a frame of reference.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Submaps {
+    /// Of all where the format names each pose's submap, else of the one with the most.
+    #[default]
+    OfFormat,
+    /// Of all.
+    All,
+    /// Of the one with the most.
+    Largest,
+    /// Of this one.
+    One(u32),
+}
+
+impl std::fmt::Display for Submaps {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::OfFormat => f.write_str("as the format has it"),
+            Self::All => f.write_str("all"),
+            Self::Largest => f.write_str("largest"),
+            Self::One(number) => write!(f, "{number}"),
+        }
+    }
+}
+
+impl std::str::FromStr for Submaps {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "all" => Ok(Self::All),
+            "largest" => Ok(Self::Largest),
+            number => number
+                .parse()
+                .map(Self::One)
+                .map_err(|_| format!("`{number}` is not a choice of submaps: all, largest, or a number")),
+        }
+    }
+}
+
 /// How a map is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MapFormat {
@@ -190,9 +230,8 @@ impl HttpClient {
         Ok(Self { is_told: true, ..Self::with(address, credentials)? })
     }
 
-    /// Writes a session's trajectory to `out` as it comes: of one submap, or if none is given of the largest
-    /// (of all where the format names each pose's). How many poses are left out, of submaps that are not the
-    /// largest.
+    /// Writes a session's trajectory to `out` as it comes. Returns how many poses are left out, of other
+    /// submaps than those chosen.
     ///
     /// # Errors
     /// If the server cannot be asked or refuses, or `out` fails.
@@ -201,13 +240,13 @@ impl HttpClient {
         session_id: &str,
         format: TrajectoryFormat,
         kind: TrajectoryKind,
-        submap_id: Option<u32>,
+        submaps: Submaps,
         out: &mut impl Write,
     ) -> Result<u64, ClientError> {
         let session_id = utf8_percent_encode(session_id, NOT_UNRESERVED);
         let mut path = format!("/v1/sessions/{session_id}/trajectory?format={format}&kind={kind}");
-        if let Some(submap_id) = submap_id {
-            path.push_str(&format!("&submap_id={submap_id}"));
+        if submaps != Submaps::OfFormat {
+            path.push_str(&format!("&submap={submaps}"));
         }
         let response = self.get(&path).await?;
         let told =
@@ -307,7 +346,7 @@ impl HttpClient {
     pub async fn trajectory(&self, session_id: &str) -> Result<Trajectory, ClientError> {
         let mut tum = Vec::new();
         let (format, kind) = (TrajectoryFormat::Tum, TrajectoryKind::Frames);
-        self.write_trajectory(session_id, format, kind, None, &mut tum).await?;
+        self.write_trajectory(session_id, format, kind, Submaps::OfFormat, &mut tum).await?;
         Trajectory::parse_tum(&String::from_utf8_lossy(&tum))
             .map_err(|error| ClientError::protocol(error.to_string()))
     }

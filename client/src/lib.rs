@@ -65,7 +65,7 @@ pub use error::ClientError;
 #[doc(no_inline)]
 pub use geometry::{CameraModel, CameraParameters};
 pub use grpc::{Answers, Events, FrameSender, FrameStream, HTTP_PORT_HEADER, SlamClient};
-pub use http::{HttpClient, ImageFile, MapFormat, TrajectoryFormat, TrajectoryKind};
+pub use http::{HttpClient, ImageFile, MapFormat, Submaps, TrajectoryFormat, TrajectoryKind};
 pub use pacing::Pacing;
 pub use placement::{Placement, SessionEnd};
 #[doc(no_inline)]

@@ -52,6 +52,8 @@ pub struct StreamPlan {
     pub take_over: bool,
     /// Whether the first frame begins a new segment, whose times may be any, as after a clock was set.
     pub new_segment: bool,
+    /// Whether frames are only located in the map, which stays as it is.
+    pub localize_only: bool,
 }
 
 impl StreamPlan {
@@ -66,6 +68,7 @@ impl StreamPlan {
             placement: Placement::AS_RECORDED,
             take_over: false,
             new_segment: false,
+            localize_only: false,
         }
     }
 
@@ -196,7 +199,11 @@ async fn stream_once(
 ) -> Result<(), ClientError> {
     let open = v1::OpenStream {
         session_id: plan.session_id.clone(),
-        mode: v1::StreamMode::MapAndLocalize.into(),
+        mode: if plan.localize_only {
+            v1::StreamMode::LocalizeOnly.into()
+        } else {
+            v1::StreamMode::MapAndLocalize.into()
+        },
         policy: plan.policy.into(),
         take_over,
         // Not again on the way.

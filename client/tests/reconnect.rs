@@ -169,7 +169,35 @@ impl SlamService for Server {
     async fn optimize_map(
         &self,
         _: Request<v1::OptimizeMapRequest>,
-    ) -> Result<Response<v1::OptimizeMapResponse>, Status> {
+    ) -> Result<Response<v1::Operation>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    async fn merge_sessions(
+        &self,
+        _: Request<v1::MergeSessionsRequest>,
+    ) -> Result<Response<v1::Operation>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    async fn get_operation(
+        &self,
+        _: Request<v1::GetOperationRequest>,
+    ) -> Result<Response<v1::Operation>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    async fn list_operations(
+        &self,
+        _: Request<v1::ListOperationsRequest>,
+    ) -> Result<Response<v1::ListOperationsResponse>, Status> {
+        Err(Status::unimplemented("not here"))
+    }
+
+    async fn cancel_operation(
+        &self,
+        _: Request<v1::CancelOperationRequest>,
+    ) -> Result<Response<v1::Operation>, Status> {
         Err(Status::unimplemented("not here"))
     }
 
@@ -292,6 +320,7 @@ fn plan(placement: Placement) -> StreamPlan {
         placement,
         take_over: false,
         new_segment: false,
+        localize_only: false,
     }
 }
 

@@ -67,6 +67,9 @@ pub struct Limits {
     pub max_loaded_sessions: usize,
     /// Largest database, bytes; `None` is as large as the disk. Frames are refused when it is full.
     pub max_database_bytes: Option<u64>,
+    /// Operations known that have not ended, such as adjustments of maps; a quarter of them of one owner.
+    /// Default 64.
+    pub max_operations: usize,
 }
 
 impl Default for Limits {
@@ -78,6 +81,7 @@ impl Default for Limits {
             max_sessions: 10_000,
             max_loaded_sessions: 64,
             max_database_bytes: None,
+            max_operations: 64,
         }
     }
 }
@@ -115,6 +119,14 @@ pub struct SessionConfig {
     /// Seconds after which a stream that sends nothing gives up its session's place in memory when another
     /// session needs one. Default 30: a camera that sends less than a frame in half a minute maps nothing.
     pub idle_stream_s: f64,
+    /// Operations that run at the same time. Default 1: each takes every core for parts of its time.
+    pub n_operations: usize,
+    /// Memory for what maps look like, to find the one that an image shows, MiB. Default 256: some 200 maps
+    /// of 150 keyframes; with less, maps are read again for each image.
+    pub localization_index_mb: usize,
+    /// Keyframes of maps that are kept ready to locate images in. Default 400, some 80 MB; 0 keeps none. What
+    /// is not used for `idle_unload_s` goes.
+    pub localization_keyframes: usize,
 }
 
 impl Default for SessionConfig {
@@ -130,6 +142,9 @@ impl Default for SessionConfig {
             max_sequence_leap: 1_000_000_000,
             max_time_leap_s: 31_622_400.0,
             idle_stream_s: 30.0,
+            n_operations: 1,
+            localization_index_mb: 256,
+            localization_keyframes: 400,
         }
     }
 }
@@ -334,6 +349,8 @@ impl Config {
             ("sessions.lossless_queue_frames", self.sessions.lossless_queue_frames),
             ("sessions.realtime_queue_frames", self.sessions.realtime_queue_frames),
             ("sessions.n_localizations", self.sessions.n_localizations),
+            ("sessions.n_operations", self.sessions.n_operations),
+            ("limits.max_operations", self.limits.max_operations),
             ("limits.max_loaded_sessions", self.limits.max_loaded_sessions),
         ];
         for (field, count) in counts {

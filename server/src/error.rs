@@ -28,14 +28,20 @@ pub enum ErrorCode {
     SessionExists,
     /// Another client streams into the session.
     WriterConnected,
+    /// An operation works on the session.
+    SessionBusy,
+    /// There is no such operation.
+    OperationNotFound,
+    /// The two sessions cannot be joined.
+    CannotMerge,
+    /// The scale cannot be found from what was given.
+    ScaleUndetermined,
     /// Another client took the session over.
     TakenOver,
     /// There are as many sessions as the server keeps.
     TooManySessions,
     /// As many sessions are in memory as the server takes.
     TooManyLoadedSessions,
-    /// This version does not have it.
-    NotAvailable,
     /// As many such requests are under way as the server takes.
     TooBusy,
     /// The answer was not there in the time that the server spends on one.
@@ -86,13 +92,16 @@ impl ErrorCode {
             Self::PrimitiveNotFound => "PRIMITIVE_NOT_FOUND",
             Self::ImageNotFound => "IMAGE_NOT_FOUND",
             Self::FrameNotFound => "FRAME_NOT_FOUND",
-            Self::NotAvailable => "NOT_AVAILABLE",
             Self::TooBusy => "TOO_BUSY",
             Self::TookTooLong => "TOOK_TOO_LONG",
             Self::NotFound => "NOT_FOUND",
             Self::MethodNotAllowed => "METHOD_NOT_ALLOWED",
             Self::SessionExists => "SESSION_EXISTS",
             Self::WriterConnected => "WRITER_CONNECTED",
+            Self::SessionBusy => "SESSION_BUSY",
+            Self::OperationNotFound => "OPERATION_NOT_FOUND",
+            Self::CannotMerge => "CANNOT_MERGE",
+            Self::ScaleUndetermined => "SCALE_UNDETERMINED",
             Self::TakenOver => "TAKEN_OVER",
             Self::TooManySessions => "TOO_MANY_SESSIONS",
             Self::TooManyLoadedSessions => "TOO_MANY_LOADED_SESSIONS",
@@ -125,13 +134,16 @@ impl ErrorCode {
             Self::PrimitiveNotFound => "No such global primitive",
             Self::ImageNotFound => "The keyframe's image was not kept",
             Self::FrameNotFound => "The frame is not kept, or no longer",
-            Self::NotAvailable => "Not available in this version",
             Self::TooBusy => "Too much is asked at once",
             Self::TookTooLong => "It took too long",
             Self::NotFound => "No such path",
             Self::MethodNotAllowed => "The path does not take this method",
             Self::SessionExists => "The session exists already",
             Self::WriterConnected => "A writer is connected",
+            Self::SessionBusy => "An operation works on the session",
+            Self::OperationNotFound => "No such operation",
+            Self::CannotMerge => "The sessions cannot be joined",
+            Self::ScaleUndetermined => "The scale cannot be found",
             Self::TakenOver => "Another client took the session over",
             Self::TooManySessions => "Too many sessions",
             Self::TooManyLoadedSessions => "Too many sessions are in use",
@@ -163,10 +175,13 @@ impl ErrorCode {
             | Self::PrimitiveNotFound
             | Self::ImageNotFound
             | Self::FrameNotFound
+            | Self::OperationNotFound
             | Self::NotFound => Code::NotFound,
-            Self::MethodNotAllowed | Self::NotAvailable => Code::Unimplemented,
+            Self::MethodNotAllowed => Code::Unimplemented,
             Self::SessionExists => Code::AlreadyExists,
-            Self::WriterConnected => Code::FailedPrecondition,
+            Self::WriterConnected | Self::SessionBusy | Self::CannotMerge | Self::ScaleUndetermined => {
+                Code::FailedPrecondition
+            }
             Self::TakenOver | Self::IdleStream => Code::Aborted,
             Self::Unauthenticated => Code::Unauthenticated,
             Self::Forbidden | Self::WrongHost | Self::ForeignOrigin => Code::PermissionDenied,
@@ -194,12 +209,16 @@ impl ErrorCode {
             | Self::PrimitiveNotFound
             | Self::ImageNotFound
             | Self::FrameNotFound
+            | Self::OperationNotFound
             | Self::NotFound => StatusCode::NOT_FOUND,
-            Self::NotAvailable => StatusCode::NOT_IMPLEMENTED,
             Self::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
-            Self::SessionExists | Self::WriterConnected | Self::TakenOver | Self::IdleStream => {
-                StatusCode::CONFLICT
-            }
+            Self::SessionExists
+            | Self::WriterConnected
+            | Self::SessionBusy
+            | Self::CannotMerge
+            | Self::TakenOver
+            | Self::IdleStream => StatusCode::CONFLICT,
+            Self::ScaleUndetermined => StatusCode::UNPROCESSABLE_ENTITY,
             Self::Unauthenticated => StatusCode::UNAUTHORIZED,
             Self::Forbidden | Self::ForeignOrigin => StatusCode::FORBIDDEN,
             Self::WrongHost => StatusCode::MISDIRECTED_REQUEST,

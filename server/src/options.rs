@@ -235,6 +235,14 @@ fn contradictions(options: &SessionOptions) -> Vec<FieldViolation> {
         .collect()
 }
 
+/// A camera that can be worked with.
+///
+/// # Errors
+/// If a field of its calibration cannot be; the error names it.
+pub(crate) fn check_camera(camera: CameraParameters) -> Result<Camera, ApiError> {
+    Camera::new(camera).map_err(|error| ApiError::invalid(format!("camera.{}", error.field), error.message))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

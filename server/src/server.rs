@@ -158,6 +158,8 @@ impl Running {
         tracing::info!("shutting down: no new connections, streams end, sessions are saved");
         closing.cancel();
         let orderly = async {
+            // Operations hold their sessions.
+            service.operations().shut_down().await;
             service.registry().shut_down().await;
             tracing::info!("every session is saved");
             end_connections(tasks, grace / 2).await;

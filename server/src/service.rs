@@ -5,15 +5,18 @@ use crate::budget::Budget;
 use crate::config::Config;
 use crate::current::{Changes, Current};
 use crate::error::{ApiError, ErrorCode};
+use crate::localization::{Localization, Located, MAX_SESSIONS, Question};
 use crate::maps::{MapQueries, Observed, SceneParts};
-use crate::options::{SessionOptions, camera_to_begin_with, camera_warnings, engine_config};
-use crate::page::{Page, PageRequest};
+use crate::operations::{Kind, Operation, Operations, Tools};
+use crate::options::{SessionOptions, camera_to_begin_with, camera_warnings, check_camera, engine_config};
+use crate::page::{MAX_PAGE_SIZE, Page, PageRequest};
+use crate::scale::{self, Measurement, ScaleSource};
 use crate::session::{
-    self, FrameQueue, LoadContext, Located, OpenRequest, Registry, Replies, Reply, SentImage, SessionId,
-    SessionView, ShownFrame,
+    self, FrameQueue, OpenRequest, Registry, Replies, Reply, SessionId, SessionView, ShownFrame,
 };
 use crate::soundness::Soundness;
-use geometry::{Camera, CameraParameters};
+use geometry::CameraParameters;
+use std::hash::{BuildHasher, Hash, Hasher, RandomState};
 use std::sync::Arc;
 use std::time::Duration;
 use store::{SessionChanges, SessionRecord, Store, StoreError, StoredImage};
@@ -35,7 +38,9 @@ pub struct Service {
     config: Current,
     store: Store,
     maps: MapQueries,
-    registry: Registry,
+    registry: Arc<Registry>,
+    operations: Operations,
+    localization: Localization,
     access: Arc<Access>,
     soundness: Arc<Soundness>,
     budget: Arc<Budget>,
@@ -43,6 +48,8 @@ pub struct Service {
     n_sessions: tokio::sync::Mutex<u64>,
     /// Single images that may be located at the same time.
     localizations: Arc<Semaphore>,
+    /// Seeded by this start of the server.
+    tags: RandomState,
 }
 
 /// A session to be made.
@@ -75,7 +82,11 @@ impl Service {
         soundness: Arc<Soundness>,
     ) -> Result<Self, ApiError> {
         let current = Current::new(config.clone());
-        let registry = Registry::new(current.clone(), store.clone());
+        let registry = Arc::new(Registry::new(current.clone(), store.clone()));
+        let tools = Tools { registry: registry.clone(), store: store.clone() };
+        let operations = Operations::new(tools, config.sessions.n_operations, config.limits.max_operations);
+        let localization =
+            Localization::new(store.clone(), registry.clone(), config.decode_limits(), &config.sessions);
         let access = Access::new(config.access.clone(), config.quotas.clone(), store.clone()).await;
         let access = access.map_err(|error| ApiError::internal(format!("{error:#}")))?;
         let n_sessions = tokio::sync::Mutex::new(store.count_sessions_of("").await?);
@@ -87,11 +98,14 @@ impl Service {
             store,
             maps,
             registry,
+            operations,
+            localization,
             access,
             soundness,
             budget,
             n_sessions,
             localizations,
+            tags: RandomState::new(),
         })
     }
 
@@ -225,16 +239,24 @@ impl Service {
         Ok(self.view(id, record))
     }
 
-    /// Says how many metres a map unit of a session is, or, with `None`, that nobody knows.
+    /// Says how many metres a map unit of a session is: directly, by what somebody measured, or that nobody
+    /// knows.
     ///
     /// # Errors
-    /// If there is none of this id, or the number is not positive.
+    /// If there is none of this id, the number is not positive, or what was measured does not tell.
     pub async fn set_scale(
         &self,
         caller: &Caller,
         id: &SessionId,
-        metres_per_unit: Option<f64>,
-    ) -> Result<SessionView, ApiError> {
+        source: ScaleSource,
+    ) -> Result<(SessionView, Option<Measurement>), ApiError> {
+        self.registry.check_open()?;
+        self.store.get_session(id.as_str()).await?;
+        let measured = scale::measure(&self.store, id, &source).await?;
+        let metres_per_unit = match source {
+            ScaleSource::Given(metres) => Some(metres),
+            _ => measured.as_ref().map(|measured| measured.metres_per_unit),
+        };
         if metres_per_unit.is_some_and(|metres| !(metres.is_finite() && METRES_PER_UNIT.contains(&metres))) {
             let (least, most) = (METRES_PER_UNIT.start(), METRES_PER_UNIT.end());
             return Err(ApiError::invalid(
@@ -242,24 +264,24 @@ impl Service {
                 format!("must be a number from {least} to {most}"),
             ));
         }
-        self.registry.check_open()?;
-        self.store.get_session(id.as_str()).await?;
         let changes = SessionChanges { metres_per_unit: Some(metres_per_unit), ..SessionChanges::default() };
         let store = async { Ok(self.store.update_session(id.as_str(), &changes).await?) };
         let record = self.registry.set_scale(id, metres_per_unit, store).await?;
         access::record(caller, Change::Scaled, id);
-        Ok(self.view(id, record))
+        Ok((self.view(id, record), measured))
     }
 
-    /// Locates one image in a session's map, as of its last commit, without changing anything.
+    /// Locates one image in maps, as of their last commits, without changing anything.
     ///
     /// # Errors
-    /// If there is none of this id, the image cannot be used, or too many wait. A place that is not found is
-    /// no error.
-    pub async fn localize(&self, id: &SessionId, image: SentImage) -> Result<Located, ApiError> {
+    /// If there is no session of such an id, the image cannot be used, or too many wait. A place that is not
+    /// found is no error.
+    pub async fn localize(&self, question: Question) -> Result<Located, ApiError> {
         self.registry.check_open()?;
-        self.store.get_session(id.as_str()).await?;
-        self.soundness.require_sound(id.as_str())?;
+        for id in &question.sessions {
+            self.store.get_session(id.as_str()).await?;
+            self.soundness.require_sound(id.as_str())?;
+        }
         let asked = self.localizations.clone().acquire_owned();
         let turn = tokio::time::timeout(LOCALIZATION_PATIENCE, asked).await;
         let turn = turn
@@ -268,10 +290,9 @@ impl Service {
                 ApiError::new(ErrorCode::TooBusy, sentence)
             })?
             .map_err(ApiError::internal)?;
-        let config = self.config();
-        let limit_s = config.sessions.localize_timeout_s;
-        let context = LoadContext { store: &self.store, id };
-        let locating = session::localize(&context, image, config.decode_limits(), turn);
+        let limit_s = self.config().sessions.localize_timeout_s;
+        let only = (question.sessions.len() == 1).then(|| question.sessions[0].clone());
+        let locating = self.localization.locate(question, turn);
         let located = tokio::time::timeout(Duration::from_secs_f64(limit_s), locating).await;
         let located = located.map_err(|_elapsed| {
             let sentence = format!(
@@ -280,7 +301,39 @@ impl Service {
             );
             ApiError::new(ErrorCode::TookTooLong, sentence)
         })?;
-        located.inspect_err(|error| self.note_damage(id, error))
+        located.inspect_err(|error| only.iter().for_each(|id| self.note_damage(id, error)))
+    }
+
+    /// All sessions of a caller, to look for an image in.
+    ///
+    /// # Errors
+    /// If there is none, or there are more than are looked through at once.
+    pub async fn sessions_to_search(&self, caller: &Caller) -> Result<Vec<SessionId>, ApiError> {
+        let page = self.store.list_sessions_of(&caller.prefix(), None, MAX_PAGE_SIZE).await?;
+        if page.next.is_some() || page.items.len() > MAX_SESSIONS {
+            let sentence = format!("are more than {MAX_SESSIONS}; name those to look in");
+            return Err(ApiError::invalid("all_sessions", sentence));
+        }
+        if page.items.is_empty() {
+            return Err(ApiError::invalid("all_sessions", "there is no session to look in"));
+        }
+        let sound = page.items.into_iter().filter(|record| self.soundness.require_sound(&record.id).is_ok());
+        Ok(sound.map(|record| caller.stored(record.id)).collect())
+    }
+
+    /// Names the state of a session's map and of what its lengths mean; another one after each change, and
+    /// after each start of the server.
+    ///
+    /// # Errors
+    /// If there is none of this id.
+    pub async fn map_tag(&self, id: &SessionId) -> Result<String, ApiError> {
+        let revision = self.registry.revision(id);
+        let record = self.store.get_session(id.as_str()).await?;
+        let mut hasher = self.tags.build_hasher();
+        (id.as_str(), record.created_at_ns, record.last_frame).hash(&mut hasher);
+        let changing = (revision, record.counts, record.metres_per_unit, record.correction, record.camera);
+        format!("{changing:?}").hash(&mut hasher);
+        Ok(format!("{:016x}", hasher.finish()))
     }
 
     /// The map as a viewer draws it: what changed since a revision, or, where that is not known any more,
@@ -319,15 +372,52 @@ impl Service {
         self.registry.shown_frame(id, sequence).ok_or_else(|| no_frame(id, sequence))
     }
 
-    /// Global bundle adjustment of a session's map.
+    /// Begins global bundle adjustment of a session's map.
     ///
     /// # Errors
-    /// Always: this version has none.
-    pub async fn optimize(&self, id: &SessionId) -> Result<(), ApiError> {
+    /// If there is none of this id, a client streams into it, another operation works on it, or too many wait.
+    pub async fn optimize(&self, caller: &Caller, id: &SessionId) -> Result<Operation, ApiError> {
+        self.check_idle(id, "adjusting its map").await?;
+        let begun = self.operations.begin(caller, Kind::Optimize, id, None)?;
+        access::record(caller, Change::Optimized, id);
+        Ok(begun)
+    }
+
+    /// Begins to join one session's map and trajectory with another's.
+    ///
+    /// # Errors
+    /// As [`Self::optimize`], or if the two are one.
+    pub async fn merge(
+        &self,
+        caller: &Caller,
+        into: &SessionId,
+        from: &SessionId,
+    ) -> Result<Operation, ApiError> {
+        self.check_idle(into, "joining it with another").await?;
+        self.check_idle(from, "joining it with another").await?;
+        if into == from {
+            return Err(ApiError::invalid("from", "must be another session than the one it is joined with"));
+        }
+        check_stored_bytes(&self.store, caller).await?;
+        let begun = self.operations.begin(caller, Kind::Merge, into, Some(from))?;
+        access::record(caller, Change::Merged, into);
+        Ok(begun)
+    }
+
+    /// What takes long.
+    pub fn operations(&self) -> &Operations {
+        &self.operations
+    }
+
+    async fn check_idle(&self, id: &SessionId, purpose: &str) -> Result<(), ApiError> {
+        self.registry.check_open()?;
         self.store.get_session(id.as_str()).await?;
-        let sentence =
-            "this version has no global bundle adjustment; maps are adjusted locally while frames come in";
-        Err(ApiError::new(ErrorCode::NotAvailable, sentence))
+        self.soundness.require_sound(id.as_str())?;
+        if self.registry.view(id).is_some_and(|view| view.has_writer) {
+            let sentence = format!("a client streams into session {id}; end its stream before {purpose}");
+            return Err(ApiError::new(ErrorCode::WriterConnected, sentence));
+        }
+        Ok(())
     }
 
     /// Opens a stream of frames into a session; the answers go to `replies`, the session's state first.
@@ -443,14 +533,6 @@ async fn check_stored_bytes(store: &Store, caller: &Caller) -> Result<(), ApiErr
 fn no_frame(id: &SessionId, sequence: u64) -> ApiError {
     let sentence = format!("frame {sequence} of session {id} is not kept, or no longer");
     ApiError::new(ErrorCode::FrameNotFound, sentence)
-}
-
-/// A camera that can be worked with.
-///
-/// # Errors
-/// If a field of its calibration cannot be; the error names it.
-pub(crate) fn check_camera(camera: CameraParameters) -> Result<Camera, ApiError> {
-    Camera::new(camera).map_err(|error| ApiError::invalid(format!("camera.{}", error.field), error.message))
 }
 
 fn check_image_size(camera: &CameraParameters, max_pixels: u64) -> Result<(), ApiError> {

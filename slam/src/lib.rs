@@ -56,7 +56,9 @@ mod initialization;
 mod input;
 mod keyframe_index;
 mod landmarks;
+mod localization;
 mod loops;
+mod maintenance;
 pub mod map;
 mod mapping;
 mod matching;
@@ -70,6 +72,7 @@ mod test_fixtures;
 mod tracking;
 mod trajectory;
 mod vanishing;
+mod work;
 
 pub use clock::{Clock, NoClock};
 pub use config::{
@@ -78,10 +81,13 @@ pub use config::{
     RelocalizationConfig, RollingShutterConfig, SlamConfig, SubmapConfig, Threading, TrackingConfig,
 };
 pub use input::{Frame, FrameError, ResumeError, ResumeState};
+pub use localization::{Found, LocalizeCamera, Localizer, Near};
 pub use loops::{KeyframeTies, essential_edges};
+pub use maintenance::{Joined, Merged, Optimized, PlacedFrame, Recordings, merge, optimize};
 pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::Pipeline;
 pub use report::{
     FrameReport, InitializationWait, LineJudgement, LineVerdict, LostReason, MapEvent, ObservedFrame,
     PoseUncertainty, TrackingOutcome,
 };
+pub use work::Work;

@@ -52,6 +52,7 @@ mod backup;
 mod blob;
 mod check;
 mod delete;
+mod descriptors;
 mod digest;
 mod error;
 mod frames;

@@ -10,6 +10,8 @@ mod encryption;
 mod isolation;
 mod kidnap;
 mod maps;
+mod operations;
+mod places;
 mod segments;
 mod shutdown;
 mod storage;

@@ -7,10 +7,13 @@ mod evaluate;
 mod export;
 mod flags;
 mod local;
+mod localize;
+mod operations;
 mod output;
 mod picture;
 mod progress;
 mod report;
+mod scale;
 mod sessions;
 mod stream;
 mod summary;
@@ -48,6 +51,16 @@ pub enum Command {
     Demo(demo::DemoArgs),
     /// List, show or delete sessions
     Sessions(sessions::SessionsArgs),
+    /// Say how many metres a map unit of a session is, or measure it
+    Scale(scale::ScaleArgs),
+    /// Tell where images were taken, by the maps of sessions
+    Localize(localize::LocalizeArgs),
+    /// Adjust the whole map of a session (global bundle adjustment)
+    Optimize(operations::OptimizeArgs),
+    /// Join two sessions of one camera where their maps show the same place
+    Merge(operations::MergeArgs),
+    /// List, show, wait for or cancel what takes long on the server
+    Operations(operations::OperationsArgs),
 }
 
 impl Command {
@@ -64,6 +77,11 @@ impl Command {
             Self::BenchRun(args) => bench::run_once(args).await,
             Self::Demo(args) => demo::run(args).await,
             Self::Sessions(args) => sessions::run(args).await,
+            Self::Scale(args) => scale::run(args).await,
+            Self::Localize(args) => localize::run(args).await,
+            Self::Optimize(args) => operations::optimize(args).await,
+            Self::Merge(args) => operations::merge(args).await,
+            Self::Operations(args) => operations::run(args).await,
         }
     }
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use client::{TrajectoryFormat, TrajectoryKind};
+use client::{Submaps, TrajectoryFormat, TrajectoryKind};
 
 use super::output::OutputFile;
 use super::{ServerArgs, session_id};
@@ -24,10 +24,10 @@ pub struct TrajectoryArgs {
     /// frames or keyframes
     #[arg(long, default_value = "frames")]
     kind: TrajectoryKind,
-    /// The submap whose poses are wanted; submaps do not share a frame of reference [default: the one with
-    /// the most, and in csv and json all]
-    #[arg(long, value_name = "N")]
-    submap: Option<u32>,
+    /// Whose poses: all, largest or the number of a submap; submaps do not share a frame of reference
+    /// [default: largest, and in csv and json all]
+    #[arg(long, value_name = "all|largest|N")]
+    submap: Option<Submaps>,
     /// File to write instead of standard output
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -36,11 +36,12 @@ pub struct TrajectoryArgs {
 /// Fetches it.
 pub async fn run(args: TrajectoryArgs) -> Result<()> {
     let http = args.server.http().await?;
+    let submaps = args.submap.unwrap_or_default();
     match &args.output {
         Some(path) => {
             let mut file = OutputFile::create(path)?;
             let written =
-                http.write_trajectory(&args.session, args.format, args.kind, args.submap, &mut file).await;
+                http.write_trajectory(&args.session, args.format, args.kind, submaps, &mut file).await;
             let n_left_out =
                 written.with_context(|| format!("cannot fetch the trajectory into {}", path.display()))?;
             file.finish()?;
@@ -49,7 +50,7 @@ pub async fn run(args: TrajectoryArgs) -> Result<()> {
         None => {
             let mut out = io::stdout().lock();
             let n_left_out =
-                http.write_trajectory(&args.session, args.format, args.kind, args.submap, &mut out).await?;
+                http.write_trajectory(&args.session, args.format, args.kind, submaps, &mut out).await?;
             out.flush()?;
             tell_left_out(n_left_out);
         }

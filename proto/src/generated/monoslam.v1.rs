@@ -80,7 +80,7 @@ pub struct Session {
     pub loaded: bool,
     #[prost(bool, tag = "15")]
     pub has_writer: bool,
-    /// Time of the last frame: later ones must be after it. Absent before the first.
+    /// Time of the last frame: later ones must be after it, but for those of a new segment. Absent before the first.
     #[prost(int64, optional, tag = "16")]
     pub last_timestamp_ns: ::core::option::Option<i64>,
     /// Metres per map unit. Absent while the scale is free.
@@ -94,6 +94,9 @@ pub struct Session {
     /// database, or delete the session. Absent if nothing is known to be.
     #[prost(string, optional, tag = "19")]
     pub damage: ::core::option::Option<::prost::alloc::string::String>,
+    /// In the answer to SetScale only: what the scale was found from.
+    #[prost(message, optional, tag = "20")]
+    pub scale_measurement: ::core::option::Option<ScaleMeasurement>,
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct CreateSessionRequest {
@@ -145,17 +148,160 @@ pub struct UpdateSessionRequest {
 pub struct SetScaleRequest {
     #[prost(string, tag = "1")]
     pub session_id: ::prost::alloc::string::String,
-    /// Above 0; absent, the scale is freed.
+    /// Above 0. Without it and without a reference the scale is freed.
     #[prost(double, optional, tag = "2")]
     pub metres_per_unit: ::core::option::Option<f64>,
+    #[prost(oneof = "set_scale_request::Reference", tags = "3, 4")]
+    pub reference: ::core::option::Option<set_scale_request::Reference>,
 }
-#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+/// Nested message and enum types in `SetScaleRequest`.
+pub mod set_scale_request {
+    #[derive(Clone, PartialEq, ::prost::Oneof)]
+    pub enum Reference {
+        #[prost(message, tag = "3")]
+        Distance(super::KnownDistance),
+        #[prost(message, tag = "4")]
+        Positions(super::ReferencePositions),
+    }
+}
+/// Two places of a map whose distance is known. They must be in one submap.
+#[derive(Clone, Copy, PartialEq, ::prost::Message)]
+pub struct KnownDistance {
+    #[prost(message, optional, tag = "1")]
+    pub from: ::core::option::Option<ScalePlace>,
+    #[prost(message, optional, tag = "2")]
+    pub to: ::core::option::Option<ScalePlace>,
+    /// Above 0.
+    #[prost(double, tag = "3")]
+    pub metres: f64,
+}
+/// A place of a map.
+#[derive(Clone, Copy, PartialEq, ::prost::Message)]
+pub struct ScalePlace {
+    #[prost(oneof = "scale_place::Place", tags = "1, 2, 3")]
+    pub place: ::core::option::Option<scale_place::Place>,
+}
+/// Nested message and enum types in `ScalePlace`.
+pub mod scale_place {
+    #[derive(Clone, Copy, PartialEq, ::prost::Oneof)]
+    pub enum Place {
+        #[prost(uint64, tag = "1")]
+        PointId(u64),
+        /// Where the camera was.
+        #[prost(uint64, tag = "2")]
+        KeyframeId(u64),
+        /// What a pixel of a key frame's image shows.
+        #[prost(message, tag = "3")]
+        Pixel(super::PickedPixel),
+    }
+}
+/// A pixel of a key frame's image, of the session's image size. It must show a point of the map within 12 pixels, or a line
+/// within 4.
+#[derive(Clone, Copy, PartialEq, ::prost::Message)]
+pub struct PickedPixel {
+    #[prost(uint64, tag = "1")]
+    pub keyframe_id: u64,
+    #[prost(double, tag = "2")]
+    pub x: f64,
+    #[prost(double, tag = "3")]
+    pub y: f64,
+}
+/// Where the camera was by another measurement, such as GPS in a local frame or motion capture: three rows at least, not all on
+/// one line. Rows that disagree with the others are named and left out.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct ReferencePositions {
+    #[prost(message, repeated, tag = "1")]
+    pub rows: ::prost::alloc::vec::Vec<ReferencePosition>,
+    /// Rows this far off or farther are left out, metres. Left out: what the rows themselves say.
+    #[prost(double, optional, tag = "2")]
+    pub max_error_m: ::core::option::Option<f64>,
+}
+#[derive(Clone, Copy, PartialEq, ::prost::Message)]
+pub struct ReferencePosition {
+    /// Metres.
+    #[prost(message, optional, tag = "3")]
+    pub position: ::core::option::Option<Vector3>,
+    /// Which frame, or when.
+    #[prost(oneof = "reference_position::Frame", tags = "1, 2")]
+    pub frame: ::core::option::Option<reference_position::Frame>,
+}
+/// Nested message and enum types in `ReferencePosition`.
+pub mod reference_position {
+    /// Which frame, or when.
+    #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Oneof)]
+    pub enum Frame {
+        #[prost(uint64, tag = "1")]
+        Sequence(u64),
+        #[prost(int64, tag = "2")]
+        TimestampNs(i64),
+    }
+}
+/// What a scale was found from.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct ScaleMeasurement {
+    #[prost(double, tag = "1")]
+    pub metres_per_unit: f64,
+    /// The distance in the map, map units; of a known distance.
+    #[prost(double, optional, tag = "2")]
+    pub map_distance: ::core::option::Option<f64>,
+    /// What the two places are, in plain words.
+    #[prost(string, repeated, tag = "3")]
+    pub places: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// Of reference positions: how far they are from the camera's way in the end, one for each row in their order.
+    #[prost(message, repeated, tag = "4")]
+    pub residuals: ::prost::alloc::vec::Vec<ScaleResidual>,
+    /// Root mean square of the residuals of the rows that were used, metres.
+    #[prost(double, optional, tag = "5")]
+    pub rms_m: ::core::option::Option<f64>,
+    #[prost(uint32, tag = "6")]
+    pub n_used: u32,
+    /// Takes the map, in metres, to the frame of the reference positions.
+    #[prost(message, optional, tag = "7")]
+    pub pose_reference_from_map: ::core::option::Option<Pose>,
+    #[prost(uint32, tag = "8")]
+    pub submap_id: u32,
+}
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct ScaleResidual {
+    /// Absent for a row whose frame has no pose, or not in the submap.
+    #[prost(double, optional, tag = "1")]
+    pub error_m: ::core::option::Option<f64>,
+    /// Whether the row was used.
+    #[prost(bool, tag = "2")]
+    pub used: bool,
+    /// Why not, in a plain sentence.
+    #[prost(string, tag = "3")]
+    pub reason: ::prost::alloc::string::String,
+}
+#[derive(Clone, PartialEq, ::prost::Message)]
 pub struct LocalizeRequest {
+    /// The session; empty where `session_ids` or `all_sessions` says which.
     #[prost(string, tag = "1")]
     pub session_id: ::prost::alloc::string::String,
-    /// Of the session's camera.
+    /// Of any size. Without a camera or a field of view, one of the session's image size is taken to be of its camera; of
+    /// another size, the focal length is found.
     #[prost(message, optional, tag = "2")]
     pub image: ::core::option::Option<Image>,
+    /// The image's camera.
+    #[prost(message, optional, tag = "3")]
+    pub camera: ::core::option::Option<Camera>,
+    /// Horizontal field of view, degrees, of a camera without distortion.
+    #[prost(double, optional, tag = "4")]
+    pub fov_deg: ::core::option::Option<f64>,
+    /// Nothing is known of the camera, even if its images have the session's size.
+    #[prost(bool, tag = "5")]
+    pub unknown_camera: bool,
+    /// Several sessions, at most 1000. The answer is of the one that fits best.
+    #[prost(string, repeated, tag = "6")]
+    pub session_ids: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// All of the caller's sessions.
+    #[prost(bool, tag = "7")]
+    pub all_sessions: bool,
+    /// Where the camera is thought to be, and how far it may be from there, as lengths of the session are told.
+    #[prost(message, optional, tag = "8")]
+    pub near: ::core::option::Option<Vector3>,
+    #[prost(double, optional, tag = "9")]
+    pub radius: ::core::option::Option<f64>,
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct LocalizeResponse {
@@ -187,14 +333,157 @@ pub struct LocalizeResponse {
     /// Milliseconds to locate the image in it.
     #[prost(double, tag = "11")]
     pub locate_ms: f64,
+    /// Whose map the pose is in; of several, the one that fits best. Empty if none does.
+    #[prost(string, tag = "12")]
+    pub session_id: ::prost::alloc::string::String,
+    /// Covariance of the pose, 36 numbers row by row: position (as lengths are told) x y z, then turns about the world's axes
+    /// x y z, radians. What noise of the image alone makes of it. Empty without a pose.
+    #[prost(double, repeated, tag = "13")]
+    pub covariance: ::prost::alloc::vec::Vec<f64>,
+    /// The camera the pose was found with, of the image's size; its focal length may have been found. Absent without a pose.
+    #[prost(message, optional, tag = "14")]
+    pub camera: ::core::option::Option<Camera>,
+    /// Sessions searched by looks, and those in which the image was looked for.
+    #[prost(uint32, tag = "15")]
+    pub n_sessions_searched: u32,
+    #[prost(uint32, tag = "16")]
+    pub n_sessions_tried: u32,
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct OptimizeMapRequest {
     #[prost(string, tag = "1")]
     pub session_id: ::prost::alloc::string::String,
 }
-#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct OptimizeMapResponse {}
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct MergeSessionsRequest {
+    /// The session that takes the other one in.
+    #[prost(string, tag = "1")]
+    pub into: ::prost::alloc::string::String,
+    #[prost(string, tag = "2")]
+    pub from: ::prost::alloc::string::String,
+}
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct GetOperationRequest {
+    #[prost(string, tag = "1")]
+    pub operation_id: ::prost::alloc::string::String,
+}
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct ListOperationsRequest {
+    /// Those on this session only.
+    #[prost(string, tag = "1")]
+    pub session_id: ::prost::alloc::string::String,
+}
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct ListOperationsResponse {
+    #[prost(message, repeated, tag = "1")]
+    pub operations: ::prost::alloc::vec::Vec<Operation>,
+}
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct CancelOperationRequest {
+    #[prost(string, tag = "1")]
+    pub operation_id: ::prost::alloc::string::String,
+}
+/// Something that takes long, and goes on whether or not its client is there.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct Operation {
+    #[prost(string, tag = "1")]
+    pub id: ::prost::alloc::string::String,
+    #[prost(enumeration = "OperationKind", tag = "2")]
+    pub kind: i32,
+    /// The session it changes.
+    #[prost(string, tag = "3")]
+    pub session_id: ::prost::alloc::string::String,
+    /// Of a merger: the session that is taken in.
+    #[prost(string, tag = "4")]
+    pub from_session_id: ::prost::alloc::string::String,
+    #[prost(enumeration = "OperationState", tag = "5")]
+    pub state: i32,
+    /// Share that is done, 0 to 1.
+    #[prost(double, tag = "6")]
+    pub progress: f64,
+    /// Iterations of optimization so far.
+    #[prost(uint32, tag = "7")]
+    pub n_iterations: u32,
+    /// What came of it, or why it failed, in a plain sentence. Empty before it ends.
+    #[prost(string, tag = "8")]
+    pub message: ::prost::alloc::string::String,
+    /// Stable name of the kind of error, if it failed.
+    #[prost(string, tag = "9")]
+    pub error_code: ::prost::alloc::string::String,
+    /// Wall-clock time, nanoseconds since 1970.
+    #[prost(int64, tag = "10")]
+    pub created_at_ns: i64,
+    #[prost(int64, optional, tag = "11")]
+    pub ended_at_ns: ::core::option::Option<i64>,
+    #[prost(oneof = "operation::Result", tags = "12, 13")]
+    pub result: ::core::option::Option<operation::Result>,
+}
+/// Nested message and enum types in `Operation`.
+pub mod operation {
+    #[derive(Clone, PartialEq, ::prost::Oneof)]
+    pub enum Result {
+        #[prost(message, tag = "12")]
+        Optimized(super::OptimizeResult),
+        #[prost(message, tag = "13")]
+        Merged(super::MergeResult),
+    }
+}
+/// Cost: half the sum of the squared errors of all sightings of points and lines, in standard deviations, each counted up to
+/// that of one that just agrees. The same sightings before and after. A map that would not agree better stays as it is.
+#[derive(Clone, Copy, PartialEq, ::prost::Message)]
+pub struct OptimizeResult {
+    #[prost(double, tag = "1")]
+    pub cost_before: f64,
+    #[prost(double, tag = "2")]
+    pub cost_after: f64,
+    #[prost(uint64, tag = "3")]
+    pub n_keyframes: u64,
+    #[prost(uint64, tag = "4")]
+    pub n_points: u64,
+    #[prost(uint64, tag = "5")]
+    pub n_lines: u64,
+}
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct MergeResult {
+    /// Whether a place was found that both show. If not, nothing was changed.
+    #[prost(bool, tag = "1")]
+    pub found: bool,
+    #[prost(message, repeated, tag = "2")]
+    pub places: ::prost::alloc::vec::Vec<MergedPlace>,
+    /// What was taken in.
+    #[prost(uint64, tag = "3")]
+    pub n_keyframes: u64,
+    #[prost(uint64, tag = "4")]
+    pub n_frames: u64,
+    /// What was added to the numbers and times of the frames taken in, so that they come after those that were there.
+    #[prost(int64, tag = "5")]
+    pub sequence_shift: i64,
+    #[prost(int64, tag = "6")]
+    pub timestamp_shift_ns: i64,
+    /// Loops closed inside of the joined map.
+    #[prost(uint32, tag = "7")]
+    pub n_loops: u32,
+    /// As in OptimizeResult, of the adjustment that followed.
+    #[prost(double, tag = "8")]
+    pub cost_before: f64,
+    #[prost(double, tag = "9")]
+    pub cost_after: f64,
+}
+/// A place by which two maps were joined.
+#[derive(Clone, Copy, PartialEq, ::prost::Message)]
+pub struct MergedPlace {
+    /// The key frame of `from`, by its number there, and the one of `into` that shows the same place.
+    #[prost(uint64, tag = "1")]
+    pub from_keyframe: u64,
+    #[prost(uint64, tag = "2")]
+    pub into_keyframe: u64,
+    /// Points of the place that were found.
+    #[prost(uint32, tag = "3")]
+    pub n_matches: u32,
+    /// Map units of `into` per map unit of `from`.
+    #[prost(double, tag = "4")]
+    pub scale: f64,
+}
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct WatchMapRequest {
     #[prost(string, tag = "1")]
@@ -347,10 +636,12 @@ pub struct OpenStream {
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Frame {
-    /// Counts up from the session's `next_sequence`; gaps are allowed, repeats are answered but not tracked twice.
+    /// Counts up from the session's `next_sequence`; gaps are allowed up to the server's sessions.max_sequence_leap, repeats
+    /// are answered but not tracked twice.
     #[prost(uint64, tag = "1")]
     pub sequence: u64,
-    /// Strictly increasing within a session.
+    /// Strictly increasing within a session, by sessions.max_time_leap_s of the server at most; after a clock was set, see
+    /// `OpenStream.new_segment`.
     #[prost(int64, tag = "2")]
     pub timestamp_ns: i64,
     #[prost(message, optional, tag = "3")]
@@ -695,7 +986,7 @@ pub struct GetTrajectoryRequest {
     pub session_id: ::prost::alloc::string::String,
     #[prost(enumeration = "TrajectoryKind", tag = "2")]
     pub kind: i32,
-    /// Poses of this submap only; left out, of all submaps, which do not share a frame of reference.
+    /// Poses of this submap only. Without it, `submaps` says which.
     #[prost(uint32, optional, tag = "3")]
     pub submap_id: ::core::option::Option<u32>,
     /// First and last time.
@@ -703,6 +994,8 @@ pub struct GetTrajectoryRequest {
     pub from_timestamp_ns: ::core::option::Option<i64>,
     #[prost(int64, optional, tag = "5")]
     pub to_timestamp_ns: ::core::option::Option<i64>,
+    #[prost(enumeration = "SubmapSelection", tag = "6")]
+    pub submaps: i32,
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct GetTrajectoryResponse {
@@ -710,6 +1003,9 @@ pub struct GetTrajectoryResponse {
     pub scale: i32,
     #[prost(message, repeated, tag = "2")]
     pub poses: ::prost::alloc::vec::Vec<TrajectoryPose>,
+    /// Poses of other submaps than those asked for; the same in each message, and of the whole time.
+    #[prost(uint64, tag = "3")]
+    pub n_poses_left_out: u64,
 }
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct TrajectoryPose {
@@ -801,6 +1097,74 @@ impl CameraModel {
             "CAMERA_MODEL_RADTAN" => Some(Self::Radtan),
             "CAMERA_MODEL_KANNALA_BRANDT" => Some(Self::KannalaBrandt),
             "CAMERA_MODEL_FOV" => Some(Self::Fov),
+            _ => None,
+        }
+    }
+}
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
+#[repr(i32)]
+pub enum OperationKind {
+    Unspecified = 0,
+    Optimize = 1,
+    Merge = 2,
+}
+impl OperationKind {
+    /// String value of the enum field names used in the ProtoBuf definition.
+    ///
+    /// The values are not transformed in any way and thus are considered stable
+    /// (if the ProtoBuf definition does not change) and safe for programmatic use.
+    pub fn as_str_name(&self) -> &'static str {
+        match self {
+            Self::Unspecified => "OPERATION_KIND_UNSPECIFIED",
+            Self::Optimize => "OPERATION_KIND_OPTIMIZE",
+            Self::Merge => "OPERATION_KIND_MERGE",
+        }
+    }
+    /// Creates an enum from field names used in the ProtoBuf definition.
+    pub fn from_str_name(value: &str) -> ::core::option::Option<Self> {
+        match value {
+            "OPERATION_KIND_UNSPECIFIED" => Some(Self::Unspecified),
+            "OPERATION_KIND_OPTIMIZE" => Some(Self::Optimize),
+            "OPERATION_KIND_MERGE" => Some(Self::Merge),
+            _ => None,
+        }
+    }
+}
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
+#[repr(i32)]
+pub enum OperationState {
+    Unspecified = 0,
+    /// It waits for its turn.
+    Queued = 1,
+    Running = 2,
+    Done = 3,
+    Failed = 4,
+    Cancelled = 5,
+}
+impl OperationState {
+    /// String value of the enum field names used in the ProtoBuf definition.
+    ///
+    /// The values are not transformed in any way and thus are considered stable
+    /// (if the ProtoBuf definition does not change) and safe for programmatic use.
+    pub fn as_str_name(&self) -> &'static str {
+        match self {
+            Self::Unspecified => "OPERATION_STATE_UNSPECIFIED",
+            Self::Queued => "OPERATION_STATE_QUEUED",
+            Self::Running => "OPERATION_STATE_RUNNING",
+            Self::Done => "OPERATION_STATE_DONE",
+            Self::Failed => "OPERATION_STATE_FAILED",
+            Self::Cancelled => "OPERATION_STATE_CANCELLED",
+        }
+    }
+    /// Creates an enum from field names used in the ProtoBuf definition.
+    pub fn from_str_name(value: &str) -> ::core::option::Option<Self> {
+        match value {
+            "OPERATION_STATE_UNSPECIFIED" => Some(Self::Unspecified),
+            "OPERATION_STATE_QUEUED" => Some(Self::Queued),
+            "OPERATION_STATE_RUNNING" => Some(Self::Running),
+            "OPERATION_STATE_DONE" => Some(Self::Done),
+            "OPERATION_STATE_FAILED" => Some(Self::Failed),
+            "OPERATION_STATE_CANCELLED" => Some(Self::Cancelled),
             _ => None,
         }
     }
@@ -1005,6 +1369,38 @@ impl TrajectoryKind {
             "TRAJECTORY_KIND_UNSPECIFIED" => Some(Self::Unspecified),
             "TRAJECTORY_KIND_FRAMES" => Some(Self::Frames),
             "TRAJECTORY_KIND_KEYFRAMES" => Some(Self::Keyframes),
+            _ => None,
+        }
+    }
+}
+/// Submaps do not share a frame of reference.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
+#[repr(i32)]
+pub enum SubmapSelection {
+    /// As ALL.
+    Unspecified = 0,
+    All = 1,
+    /// The one with the most poses.
+    Largest = 2,
+}
+impl SubmapSelection {
+    /// String value of the enum field names used in the ProtoBuf definition.
+    ///
+    /// The values are not transformed in any way and thus are considered stable
+    /// (if the ProtoBuf definition does not change) and safe for programmatic use.
+    pub fn as_str_name(&self) -> &'static str {
+        match self {
+            Self::Unspecified => "SUBMAP_SELECTION_UNSPECIFIED",
+            Self::All => "SUBMAP_SELECTION_ALL",
+            Self::Largest => "SUBMAP_SELECTION_LARGEST",
+        }
+    }
+    /// Creates an enum from field names used in the ProtoBuf definition.
+    pub fn from_str_name(value: &str) -> ::core::option::Option<Self> {
+        match value {
+            "SUBMAP_SELECTION_UNSPECIFIED" => Some(Self::Unspecified),
+            "SUBMAP_SELECTION_ALL" => Some(Self::All),
+            "SUBMAP_SELECTION_LARGEST" => Some(Self::Largest),
             _ => None,
         }
     }
@@ -1255,7 +1651,7 @@ pub mod slam_service_client {
                 .insert(GrpcMethod::new("monoslam.v1.SlamService", "UpdateSession"));
             self.inner.unary(req, path, codec).await
         }
-        /// Says how many metres a map unit is, or frees the scale.
+        /// Says how many metres a map unit is, directly or by a known distance or positions; or frees the scale.
         pub async fn set_scale(
             &mut self,
             request: impl tonic::IntoRequest<super::SetScaleRequest>,
@@ -1277,8 +1673,9 @@ pub mod slam_service_client {
                 .insert(GrpcMethod::new("monoslam.v1.SlamService", "SetScale"));
             self.inner.unary(req, path, codec).await
         }
-        /// Locates one image in a stored session's map, as of its last commit, without changing anything; also while a writer
-        /// is connected. A place that is not found is an answer, not an error.
+        /// Locates one image in stored sessions' maps, as of their last commits, without changing anything; also while a writer
+        /// is connected. A place that is not found is an answer, not an error. Fails with DEADLINE_EXCEEDED after
+        /// sessions.localize_timeout_s of the server; a client that ends the call ends the work.
         pub async fn localize(
             &mut self,
             request: impl tonic::IntoRequest<super::LocalizeRequest>,
@@ -1303,14 +1700,13 @@ pub mod slam_service_client {
                 .insert(GrpcMethod::new("monoslam.v1.SlamService", "Localize"));
             self.inner.unary(req, path, codec).await
         }
-        /// Global bundle adjustment of an idle session. Not in this version: answers UNIMPLEMENTED.
+        /// Begins global bundle adjustment of an idle session's map. Answers at once with the operation, which goes on when the
+        /// client leaves; its result is saved as a whole or not at all. Fails with FAILED_PRECONDITION while a writer is
+        /// connected or another operation works on the session, and with RESOURCE_EXHAUSTED where too many wait.
         pub async fn optimize_map(
             &mut self,
             request: impl tonic::IntoRequest<super::OptimizeMapRequest>,
-        ) -> std::result::Result<
-            tonic::Response<super::OptimizeMapResponse>,
-            tonic::Status,
-        > {
+        ) -> std::result::Result<tonic::Response<super::Operation>, tonic::Status> {
             self.inner
                 .ready()
                 .await
@@ -1326,6 +1722,99 @@ pub mod slam_service_client {
             let mut req = request.into_request();
             req.extensions_mut()
                 .insert(GrpcMethod::new("monoslam.v1.SlamService", "OptimizeMap"));
+            self.inner.unary(req, path, codec).await
+        }
+        /// Begins to join two idle sessions of the same camera where their maps show the same place: what is in `from` becomes part
+        /// of `into`, and `from` stays as it is. Nothing is changed if no such place is found. As OptimizeMap otherwise.
+        pub async fn merge_sessions(
+            &mut self,
+            request: impl tonic::IntoRequest<super::MergeSessionsRequest>,
+        ) -> std::result::Result<tonic::Response<super::Operation>, tonic::Status> {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/monoslam.v1.SlamService/MergeSessions",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("monoslam.v1.SlamService", "MergeSessions"));
+            self.inner.unary(req, path, codec).await
+        }
+        /// Operations are known until the server restarts, or some hundred later ones have ended. One that a restart cut short has
+        /// changed nothing, and is not found afterwards.
+        pub async fn get_operation(
+            &mut self,
+            request: impl tonic::IntoRequest<super::GetOperationRequest>,
+        ) -> std::result::Result<tonic::Response<super::Operation>, tonic::Status> {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/monoslam.v1.SlamService/GetOperation",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("monoslam.v1.SlamService", "GetOperation"));
+            self.inner.unary(req, path, codec).await
+        }
+        /// Operations on the caller's sessions, the newest first.
+        pub async fn list_operations(
+            &mut self,
+            request: impl tonic::IntoRequest<super::ListOperationsRequest>,
+        ) -> std::result::Result<
+            tonic::Response<super::ListOperationsResponse>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/monoslam.v1.SlamService/ListOperations",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("monoslam.v1.SlamService", "ListOperations"));
+            self.inner.unary(req, path, codec).await
+        }
+        /// Asks an operation to end without a result. One that has ended stays as it is.
+        pub async fn cancel_operation(
+            &mut self,
+            request: impl tonic::IntoRequest<super::CancelOperationRequest>,
+        ) -> std::result::Result<tonic::Response<super::Operation>, tonic::Status> {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/monoslam.v1.SlamService/CancelOperation",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("monoslam.v1.SlamService", "CancelOperation"));
             self.inner.unary(req, path, codec).await
         }
         /// What happens in a session from now on: its state first, then an event for each frame and each change of the map,
@@ -1578,13 +2067,14 @@ pub mod slam_service_server {
             &self,
             request: tonic::Request<super::UpdateSessionRequest>,
         ) -> std::result::Result<tonic::Response<super::Session>, tonic::Status>;
-        /// Says how many metres a map unit is, or frees the scale.
+        /// Says how many metres a map unit is, directly or by a known distance or positions; or frees the scale.
         async fn set_scale(
             &self,
             request: tonic::Request<super::SetScaleRequest>,
         ) -> std::result::Result<tonic::Response<super::Session>, tonic::Status>;
-        /// Locates one image in a stored session's map, as of its last commit, without changing anything; also while a writer
-        /// is connected. A place that is not found is an answer, not an error.
+        /// Locates one image in stored sessions' maps, as of their last commits, without changing anything; also while a writer
+        /// is connected. A place that is not found is an answer, not an error. Fails with DEADLINE_EXCEEDED after
+        /// sessions.localize_timeout_s of the server; a client that ends the call ends the work.
         async fn localize(
             &self,
             request: tonic::Request<super::LocalizeRequest>,
@@ -1592,14 +2082,38 @@ pub mod slam_service_server {
             tonic::Response<super::LocalizeResponse>,
             tonic::Status,
         >;
-        /// Global bundle adjustment of an idle session. Not in this version: answers UNIMPLEMENTED.
+        /// Begins global bundle adjustment of an idle session's map. Answers at once with the operation, which goes on when the
+        /// client leaves; its result is saved as a whole or not at all. Fails with FAILED_PRECONDITION while a writer is
+        /// connected or another operation works on the session, and with RESOURCE_EXHAUSTED where too many wait.
         async fn optimize_map(
             &self,
             request: tonic::Request<super::OptimizeMapRequest>,
+        ) -> std::result::Result<tonic::Response<super::Operation>, tonic::Status>;
+        /// Begins to join two idle sessions of the same camera where their maps show the same place: what is in `from` becomes part
+        /// of `into`, and `from` stays as it is. Nothing is changed if no such place is found. As OptimizeMap otherwise.
+        async fn merge_sessions(
+            &self,
+            request: tonic::Request<super::MergeSessionsRequest>,
+        ) -> std::result::Result<tonic::Response<super::Operation>, tonic::Status>;
+        /// Operations are known until the server restarts, or some hundred later ones have ended. One that a restart cut short has
+        /// changed nothing, and is not found afterwards.
+        async fn get_operation(
+            &self,
+            request: tonic::Request<super::GetOperationRequest>,
+        ) -> std::result::Result<tonic::Response<super::Operation>, tonic::Status>;
+        /// Operations on the caller's sessions, the newest first.
+        async fn list_operations(
+            &self,
+            request: tonic::Request<super::ListOperationsRequest>,
         ) -> std::result::Result<
-            tonic::Response<super::OptimizeMapResponse>,
+            tonic::Response<super::ListOperationsResponse>,
             tonic::Status,
         >;
+        /// Asks an operation to end without a result. One that has ended stays as it is.
+        async fn cancel_operation(
+            &self,
+            request: tonic::Request<super::CancelOperationRequest>,
+        ) -> std::result::Result<tonic::Response<super::Operation>, tonic::Status>;
         /// Server streaming response type for the WatchMap method.
         type WatchMapStream: tonic::codegen::tokio_stream::Stream<
                 Item = std::result::Result<super::SessionEvent, tonic::Status>,
@@ -2104,7 +2618,7 @@ pub mod slam_service_server {
                         T: SlamService,
                     > tonic::server::UnaryService<super::OptimizeMapRequest>
                     for OptimizeMapSvc<T> {
-                        type Response = super::OptimizeMapResponse;
+                        type Response = super::Operation;
                         type Future = BoxFuture<
                             tonic::Response<Self::Response>,
                             tonic::Status,
@@ -2127,6 +2641,186 @@ pub mod slam_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = OptimizeMapSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/monoslam.v1.SlamService/MergeSessions" => {
+                    #[allow(non_camel_case_types)]
+                    struct MergeSessionsSvc<T: SlamService>(pub Arc<T>);
+                    impl<
+                        T: SlamService,
+                    > tonic::server::UnaryService<super::MergeSessionsRequest>
+                    for MergeSessionsSvc<T> {
+                        type Response = super::Operation;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::MergeSessionsRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as SlamService>::merge_sessions(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = MergeSessionsSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/monoslam.v1.SlamService/GetOperation" => {
+                    #[allow(non_camel_case_types)]
+                    struct GetOperationSvc<T: SlamService>(pub Arc<T>);
+                    impl<
+                        T: SlamService,
+                    > tonic::server::UnaryService<super::GetOperationRequest>
+                    for GetOperationSvc<T> {
+                        type Response = super::Operation;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::GetOperationRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as SlamService>::get_operation(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = GetOperationSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/monoslam.v1.SlamService/ListOperations" => {
+                    #[allow(non_camel_case_types)]
+                    struct ListOperationsSvc<T: SlamService>(pub Arc<T>);
+                    impl<
+                        T: SlamService,
+                    > tonic::server::UnaryService<super::ListOperationsRequest>
+                    for ListOperationsSvc<T> {
+                        type Response = super::ListOperationsResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::ListOperationsRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as SlamService>::list_operations(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = ListOperationsSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/monoslam.v1.SlamService/CancelOperation" => {
+                    #[allow(non_camel_case_types)]
+                    struct CancelOperationSvc<T: SlamService>(pub Arc<T>);
+                    impl<
+                        T: SlamService,
+                    > tonic::server::UnaryService<super::CancelOperationRequest>
+                    for CancelOperationSvc<T> {
+                        type Response = super::Operation;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::CancelOperationRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as SlamService>::cancel_operation(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = CancelOperationSvc(inner);
                         let codec = tonic_prost::ProstCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(

@@ -14,6 +14,10 @@ pub enum Change {
     Updated,
     /// A session's scale was set or freed.
     Scaled,
+    /// Adjusting a session's map was begun.
+    Optimized,
+    /// Joining another session with it was begun.
+    Merged,
     /// A stream of frames into a session was opened.
     Streamed,
 }
@@ -26,6 +30,8 @@ impl Change {
             Self::Deleted => "session.delete",
             Self::Updated => "session.update",
             Self::Scaled => "session.scale",
+            Self::Optimized => "session.optimize",
+            Self::Merged => "session.merge",
             Self::Streamed => "session.stream",
         }
     }

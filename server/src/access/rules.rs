@@ -16,7 +16,7 @@ pub enum Need {
 }
 
 /// Calls that read.
-const READING: [&str; 10] = [
+const READING: [&str; 12] = [
     "GetSession",
     "ListSessions",
     "Localize",
@@ -27,11 +27,21 @@ const READING: [&str; 10] = [
     "ListPrimitives",
     "GetTrajectory",
     "ExportMap",
+    "GetOperation",
+    "ListOperations",
 ];
 
 /// Calls that change something.
-const WRITING: [&str; 6] =
-    ["CreateSession", "DeleteSession", "UpdateSession", "SetScale", "OptimizeMap", "StreamFrames"];
+const WRITING: [&str; 8] = [
+    "CreateSession",
+    "DeleteSession",
+    "UpdateSession",
+    "SetScale",
+    "OptimizeMap",
+    "MergeSessions",
+    "CancelOperation",
+    "StreamFrames",
+];
 
 /// What a gRPC call needs, by its path.
 pub fn of_call(path: &str) -> Need {
@@ -62,6 +72,9 @@ pub fn of_route(method: &Method, path: &str) -> Need {
         (["v1", "tickets"], _) => Need::Role(Role::Reader),
         (["v1", "sessions", _, "stream"], _) => Need::Role(Role::Writer),
         (["v1", "sessions", _, "localize"], _) => Need::Role(Role::Reader),
+        (["v1", "localize"], _) => Need::Role(Role::Reader),
+        (["v1", "operations", ..], true) => Need::Role(Role::Reader),
+        (["v1", "operations", ..], false) => Need::Role(Role::Writer),
         (["v1", "sessions", ..], true) => Need::Role(Role::Reader),
         (["v1", "sessions", ..], false) => Need::Role(Role::Writer),
         _ => Need::Role(Role::Admin),

@@ -7,7 +7,7 @@ use crate::model::{Pose, Scale, Units};
 use crate::options::{SessionOptions, convert_options};
 use crate::service::NewSession;
 use crate::session::{
-    Answer, Before, Encoding, FrameOutcome, Located, MapChange, Mode, OpenRequest, Policy, Rejection, Reply,
+    Answer, Before, Encoding, FrameOutcome, MapChange, Mode, OpenRequest, Policy, Rejection, Reply,
     SentFrame, SentImage, SessionEvent, SessionView,
 };
 use crate::watch::Watched;
@@ -33,7 +33,7 @@ pub(super) fn new_session(
     Ok(NewSession { id, camera: camera_parameters(camera)?, options })
 }
 
-fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, ApiError> {
+pub(super) fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, ApiError> {
     let model = match camera.model() {
         v1::CameraModel::Pinhole => CameraModel::Pinhole,
         v1::CameraModel::Radtan => CameraModel::Radtan,
@@ -52,24 +52,6 @@ fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, ApiError> {
 
 convert_options!(v1::SessionOptions => SessionOptions, with calibration = None);
 convert_options!(SessionOptions => v1::SessionOptions, without calibration);
-
-pub(super) fn located(located: &Located) -> v1::LocalizeResponse {
-    let Located { report, metres_per_unit, durable_sequence, load_ns, locate_ns } = located;
-    let result = frame_result(report, *metres_per_unit);
-    v1::LocalizeResponse {
-        state: result.state,
-        reason: result.reason,
-        pose_world_from_camera: result.pose_world_from_camera,
-        scale: result.scale,
-        submap_id: result.submap_id,
-        n_inlier_points: result.n_inlier_points,
-        n_inlier_lines: result.n_inlier_lines,
-        n_keypoints: result.n_keypoints,
-        durable_sequence: *durable_sequence,
-        load_ms: ms(*load_ns),
-        locate_ms: ms(*locate_ns),
-    }
-}
 
 /// What a watcher is told; `None` for what only concerns others.
 pub(super) fn session_event(watched: Watched) -> Option<v1::SessionEvent> {
@@ -143,10 +125,11 @@ pub(super) fn session(view: &SessionView) -> v1::Session {
         metres_per_unit: view.metres_per_unit,
         refined_camera: view.refined_camera.as_ref().map(camera),
         damage: view.damage.clone(),
+        scale_measurement: None,
     }
 }
 
-fn camera(camera: &CameraParameters) -> v1::Camera {
+pub(super) fn camera(camera: &CameraParameters) -> v1::Camera {
     let model = match camera.model {
         CameraModel::Pinhole => v1::CameraModel::Pinhole,
         CameraModel::Radtan => v1::CameraModel::Radtan,
@@ -298,7 +281,7 @@ fn repeated(
     }
 }
 
-fn frame_result(report: &FrameOutcome, metres_per_unit: Option<f64>) -> v1::FrameResult {
+pub(super) fn frame_result(report: &FrameOutcome, metres_per_unit: Option<f64>) -> v1::FrameResult {
     let units = Units::new(metres_per_unit);
     v1::FrameResult {
         sequence: report.sequence,
@@ -349,6 +332,6 @@ pub(super) fn pose(pose: Pose) -> v1::Pose {
     v1::Pose { tx, ty, tz, qx, qy, qz, qw }
 }
 
-fn ms(nanoseconds: u64) -> f64 {
+pub(super) fn ms(nanoseconds: u64) -> f64 {
     nanoseconds as f64 * 1e-6
 }

@@ -3,9 +3,9 @@
 use super::convert;
 use crate::access::Caller;
 use crate::error::ApiError;
+use crate::options::check_camera;
 use crate::options::engine_config;
 use crate::page::PageRequest;
-use crate::service::check_camera;
 use crate::session::decode_image;
 use prost::Message as _;
 use proto::v1;

@@ -82,13 +82,25 @@ pub async fn trajectory(
         Ok(v1::TrajectoryKind::Keyframes) => TrajectoryKind::Keyframes,
         Err(_) => return Err(ApiError::invalid("kind", "must be FRAMES or KEYFRAMES")),
     };
-    let v1::GetTrajectoryRequest { session_id: _, kind: _, submap_id, from_timestamp_ns, to_timestamp_ns } =
-        request;
-    let submaps = submap_id.map_or(SubmapChoice::All, |id| SubmapChoice::One(SubmapId(id)));
+    let submaps = match (request.submap_id, v1::SubmapSelection::try_from(request.submaps)) {
+        (Some(id), Ok(v1::SubmapSelection::Unspecified)) => SubmapChoice::One(SubmapId(id)),
+        (Some(_), _) => {
+            return Err(ApiError::invalid("submap_id", "is given beside submaps; leave one out"));
+        }
+        (None, Ok(v1::SubmapSelection::Unspecified | v1::SubmapSelection::All)) => SubmapChoice::All,
+        (None, Ok(v1::SubmapSelection::Largest)) => SubmapChoice::Largest,
+        (None, Err(_)) => return Err(ApiError::invalid("submaps", "must be ALL or LARGEST")),
+    };
+    let v1::GetTrajectoryRequest { from_timestamp_ns, to_timestamp_ns, .. } = request;
     let query = TrajectoryQuery { kind, from_timestamp_ns, to_timestamp_ns, submaps };
+    let n_poses_left_out = maps.n_poses_left_out(&id, kind, submaps).await?;
     let Scaled { scale, value } = maps.trajectory(&id, &query).await?;
     let scale = convert::scale(scale).into();
-    Ok(rows(value, trajectory_pose, move |poses| v1::GetTrajectoryResponse { scale, poses }))
+    Ok(rows(value, trajectory_pose, move |poses| v1::GetTrajectoryResponse {
+        scale,
+        poses,
+        n_poses_left_out,
+    }))
 }
 
 pub async fn export(
@@ -185,6 +197,7 @@ fn keyframe(keyframe: Keyframe) -> v1::Keyframe {
         submap_id,
         sequence,
         timestamp_ns,
+        timestamp_ns_text: _,
         world_from_camera,
         parent,
         n_keypoints,

@@ -5,6 +5,7 @@ mod deadline;
 #[cfg(fuzzing)]
 pub mod fuzzing;
 mod maps;
+mod questions;
 mod stream;
 
 use crate::access::{self, Caller, Door};
@@ -25,6 +26,7 @@ use std::time::Duration;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt};
 use tokio_util::sync::CancellationToken;
+use tonic::codec::CompressionEncoding;
 use tonic::codegen::http::{HeaderName, HeaderValue};
 use tonic::service::Routes;
 use tonic::{Request, Response, Status};
@@ -80,13 +82,22 @@ async fn report_health(service: Arc<Service>, reporter: HealthReporter, closing:
 
 /// The service with reflection, without a socket and without a door.
 fn routes(service: Arc<Service>) -> anyhow::Result<Routes> {
-    let reflection = tonic_reflection::server::Builder::configure()
-        .register_encoded_file_descriptor_set(proto::FILE_DESCRIPTOR_SET)
-        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-        .build_v1()?;
+    let reflection = || {
+        tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(proto::FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+    };
     let max_bytes = service.config().limits.max_message_bytes;
-    let slam = SlamServiceServer::new(Handler { service }).max_decoding_message_size(max_bytes);
-    Ok(Routes::new(slam).add_service(reflection))
+    // The limit is of what a message unpacks to as well.
+    let slam = SlamServiceServer::new(Handler { service })
+        .max_decoding_message_size(max_bytes)
+        .accept_compressed(CompressionEncoding::Gzip)
+        .accept_compressed(CompressionEncoding::Zstd)
+        .send_compressed(CompressionEncoding::Gzip)
+        .send_compressed(CompressionEncoding::Zstd);
+    // Many programs still ask by the older name.
+    let older = reflection().build_v1alpha()?;
+    Ok(Routes::new(slam).add_service(reflection().build_v1()?).add_service(older))
 }
 
 /// The server's side of a watch.
@@ -156,9 +167,12 @@ impl SlamService for Handler {
         request: Request<v1::SetScaleRequest>,
     ) -> Result<Response<v1::Session>, Status> {
         let caller = caller_of(&request)?;
-        let v1::SetScaleRequest { session_id: id, metres_per_unit } = request.into_inner();
-        let view = self.service.set_scale(&caller, &session_id(&caller, &id)?, metres_per_unit).await?;
-        Ok(Response::new(convert::session(&view)))
+        let request = request.into_inner();
+        let id = session_id(&caller, &request.session_id)?;
+        let (view, measured) =
+            self.service.set_scale(&caller, &id, questions::scale_source(request)?).await?;
+        let scale_measurement = measured.map(questions::measurement);
+        Ok(Response::new(v1::Session { scale_measurement, ..convert::session(&view) }))
     }
 
     async fn localize(
@@ -166,19 +180,69 @@ impl SlamService for Handler {
         request: Request<v1::LocalizeRequest>,
     ) -> Result<Response<v1::LocalizeResponse>, Status> {
         let caller = caller_of(&request)?;
-        let v1::LocalizeRequest { session_id: id, image } = request.into_inner();
-        let id = session_id(&caller, &id)?;
-        let located = self.service.localize(&id, convert::image_to_locate(image)?).await?;
-        Ok(Response::new(convert::located(&located)))
+        let request = request.into_inner();
+        let sessions = if request.all_sessions {
+            self.service.sessions_to_search(&caller).await?
+        } else {
+            questions::sessions(&caller, &request)?
+        };
+        let located = self.service.localize(questions::localize(sessions, request)?).await?;
+        Ok(Response::new(questions::located(&located)))
     }
 
     async fn optimize_map(
         &self,
         request: Request<v1::OptimizeMapRequest>,
-    ) -> Result<Response<v1::OptimizeMapResponse>, Status> {
+    ) -> Result<Response<v1::Operation>, Status> {
         let caller = caller_of(&request)?;
-        self.service.optimize(&session_id(&caller, &request.get_ref().session_id)?).await?;
-        Ok(Response::new(v1::OptimizeMapResponse {}))
+        let id = session_id(&caller, &request.get_ref().session_id)?;
+        Ok(Response::new(questions::operation(&self.service.optimize(&caller, &id).await?)))
+    }
+
+    async fn merge_sessions(
+        &self,
+        request: Request<v1::MergeSessionsRequest>,
+    ) -> Result<Response<v1::Operation>, Status> {
+        let caller = caller_of(&request)?;
+        let v1::MergeSessionsRequest { into, from } = request.into_inner();
+        let into = caller.session(&into, "into")?;
+        // Whether there is one is told before anything is said of the other.
+        self.service.get_session(&into).await?;
+        let from = caller.session(&from, "from")?;
+        Ok(Response::new(questions::operation(&self.service.merge(&caller, &into, &from).await?)))
+    }
+
+    async fn get_operation(
+        &self,
+        request: Request<v1::GetOperationRequest>,
+    ) -> Result<Response<v1::Operation>, Status> {
+        let caller = caller_of(&request)?;
+        let id = &request.get_ref().operation_id;
+        Ok(Response::new(questions::operation(&self.service.operations().get(&caller, id)?)))
+    }
+
+    async fn list_operations(
+        &self,
+        request: Request<v1::ListOperationsRequest>,
+    ) -> Result<Response<v1::ListOperationsResponse>, Status> {
+        let caller = caller_of(&request)?;
+        let session = Some(&request.get_ref().session_id).filter(|id| !id.is_empty());
+        let session = session.map(|id| session_id(&caller, id)).transpose()?;
+        if let Some(id) = &session {
+            self.service.get_session(id).await?;
+        }
+        let operations = self.service.operations().list(&caller, session.as_ref());
+        let operations = operations.iter().map(questions::operation).collect();
+        Ok(Response::new(v1::ListOperationsResponse { operations }))
+    }
+
+    async fn cancel_operation(
+        &self,
+        request: Request<v1::CancelOperationRequest>,
+    ) -> Result<Response<v1::Operation>, Status> {
+        let caller = caller_of(&request)?;
+        let id = &request.get_ref().operation_id;
+        Ok(Response::new(questions::operation(&self.service.operations().cancel(&caller, id)?)))
     }
 
     type WatchMapStream = SessionEvents;

@@ -21,6 +21,8 @@ pub struct Keyframe {
     pub sequence: u64,
     /// The client's time of the frame, nanoseconds.
     pub timestamp_ns: i64,
+    /// The same in text, for programs whose numbers do not hold all its digits, such as JavaScript's.
+    pub timestamp_ns_text: String,
     /// The camera's pose in the world.
     pub world_from_camera: Pose,
     /// The keyframe it hangs on in the spanning tree.
@@ -44,6 +46,7 @@ impl Keyframe {
             submap_id: record.submap.0,
             sequence: record.sequence,
             timestamp_ns: record.timestamp_ns,
+            timestamp_ns_text: record.timestamp_ns.to_string(),
             world_from_camera: units.pose(&record.camera_from_world.inverse()),
             parent: record.parent.map(KeyframeId::get),
             n_keypoints: record.n_keypoints,

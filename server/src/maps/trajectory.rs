@@ -33,6 +33,27 @@ impl MapQueries {
         Ok(self.store.poses_by_submap(id.as_str(), kind).await?)
     }
 
+    /// How many poses of a kind are in other submaps than those chosen.
+    ///
+    /// # Errors
+    /// If there is no such session.
+    pub async fn n_poses_left_out(
+        &self,
+        id: &SessionId,
+        kind: TrajectoryKind,
+        chosen: SubmapChoice,
+    ) -> Result<u64, ApiError> {
+        let n_poses = match chosen {
+            SubmapChoice::All => return Ok(0),
+            SubmapChoice::Largest | SubmapChoice::One(_) => self.poses_by_submap(id, kind).await?,
+        };
+        let n_kept = match chosen {
+            SubmapChoice::One(submap) => n_poses.get(&submap).copied(),
+            _ => n_poses.values().copied().max(),
+        };
+        Ok(n_poses.values().sum::<u64>() - n_kept.unwrap_or(0))
+    }
+
     /// The wanted poses in the order of their times, as the map stands now.
     ///
     /// # Errors

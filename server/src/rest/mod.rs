@@ -1,6 +1,8 @@
 //! The HTTP skin: decode, call the service, encode.
 
 mod assets;
+mod conditional;
+mod document;
 mod events;
 mod extract;
 mod frames;
@@ -10,10 +12,12 @@ mod lines;
 mod localize;
 mod map;
 mod model;
+mod operations;
 mod place;
 mod points;
 mod primitives;
 mod problem;
+mod scale;
 mod scene;
 mod sessions;
 mod stream;
@@ -34,6 +38,7 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use tower::util::option_layer;
 use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::compression::CompressionLayer;
 use tower_http::cors::{AllowOrigin, CorsLayer};
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
 use utoipa::{Modify, OpenApi};
@@ -48,6 +53,8 @@ pub use trajectory::{Format, TrajectoryWriter};
 
 /// Largest request body but for images: requests are a calibration and a few options.
 const MAX_BODY_BYTES: usize = 64 << 10;
+/// Largest request with reference positions: 100 000 rows of a hundred letters.
+const MAX_POSITIONS_BYTES: usize = 10 << 20;
 
 /// Observations are folded together this often, so that they do not pile up when nobody reads the metrics.
 const METRICS_FOLDED_EVERY: Duration = Duration::from_secs(5);
@@ -96,8 +103,12 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(sessions::list, sessions::create))
         .routes(routes!(sessions::get, sessions::update, sessions::delete))
-        .routes(routes!(sessions::scale))
-        .routes(routes!(sessions::optimize))
+        .routes(routes!(scale::scale).layer(DefaultBodyLimit::max(MAX_POSITIONS_BYTES)))
+        .routes(routes!(operations::optimize))
+        .routes(routes!(operations::merge))
+        .routes(routes!(operations::list))
+        .routes(routes!(operations::get))
+        .routes(routes!(operations::cancel))
         .routes(routes!(scene::picture))
         .routes(routes!(events::events))
         .routes(routes!(stream::stream))
@@ -116,6 +127,7 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
         .routes(routes!(scene::scene))
         .routes(routes!(map::map))
         .routes(routes!(localize::localize).layer(DefaultBodyLimit::max(max_image_bytes)))
+        .routes(routes!(localize::localize_among).layer(DefaultBodyLimit::max(max_image_bytes)))
         .routes(routes!(tickets::issue, tickets::forget))
         .routes(routes!(system::healthz))
         .routes(routes!(system::readyz))
@@ -130,7 +142,8 @@ pub fn router(app: App) -> Router {
     let cors = option_layer((!access.config().cors_origins.is_empty()).then(|| cors(access.clone())));
     let door = Door { access, interface: Interface::Http };
     let max_image_bytes = app.service.config().limits.max_message_bytes;
-    let (router, document) = api(max_image_bytes).split_for_parts();
+    let (router, mut document) = api(max_image_bytes).split_for_parts();
+    document::complete(&mut document);
     let document = Arc::new(document);
     router
         .route(
@@ -144,7 +157,10 @@ pub fn router(app: App) -> Router {
         .fallback(problem::not_found)
         .method_not_allowed_fallback(problem::method_not_allowed)
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
+        .layer(axum::middleware::from_fn_with_state(app.clone(), conditional::answer))
         .layer(axum::middleware::from_fn_with_state(door, access::check))
+        // Images and events go as they are.
+        .layer(CompressionLayer::new())
         .layer(cors)
         .layer(CatchPanicLayer::custom(panicked))
         .with_state(app)
@@ -162,7 +178,9 @@ fn cors(access: Arc<Access>) -> CorsLayer {
 
 /// The OpenAPI document.
 pub fn openapi() -> utoipa::openapi::OpenApi {
-    api(0).split_for_parts().1
+    let mut document = api(0).split_for_parts().1;
+    document::complete(&mut document);
+    document
 }
 
 /// Serves HTTP until `closing`, then lets what is under way end.

@@ -31,15 +31,6 @@ pub struct UpdateSession {
     pub options: SessionOptions,
 }
 
-/// How long a map unit is.
-#[derive(Clone, Debug, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct SetScale {
-    /// Metres per map unit, above 0; `null` frees the scale.
-    #[serde(deserialize_with = "Option::deserialize")]
-    pub metres_per_unit: Option<f64>,
-}
-
 /// A session.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub struct Session {
@@ -55,6 +46,8 @@ pub struct Session {
     pub camera_warnings: Vec<String>,
     /// Wall-clock time of creation, nanoseconds since 1970.
     pub created_at_ns: i64,
+    /// The same in text, for programs whose numbers do not hold all its digits, such as JavaScript's.
+    pub created_at_ns_text: String,
     /// How tracking its last frame ended; `null` before the first.
     pub state: Option<State>,
     /// What a length of 1 means.
@@ -120,6 +113,7 @@ impl From<SessionView> for Session {
             refined_camera: view.refined_camera.map(Camera::from),
             options: view.options,
             created_at_ns: view.created_at_ns,
+            created_at_ns_text: view.created_at_ns.to_string(),
             state: view.state.map(State::from),
             scale: Scale::of(view.metres_per_unit),
             metres_per_unit: view.metres_per_unit,

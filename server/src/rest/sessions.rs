@@ -1,7 +1,7 @@
 //! Sessions.
 
 use super::extract::{AskedBy, Body, NoConditions, PageParams, Paged};
-use super::model::{CreateSession, Session, SessionPage, SetScale, UpdateSession};
+use super::model::{CreateSession, Session, SessionPage, UpdateSession};
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use axum::Json;
@@ -72,38 +72,6 @@ pub(super) async fn update(
 ) -> Result<Json<Session>, ApiError> {
     let id = caller.session(&id, "id")?;
     Ok(Json(app.service.update_session(&caller, &id, request.options).await?.into()))
-}
-
-/// Says how many metres a map unit is. Every length of later answers is in metres then.
-#[utoipa::path(post, path = "/v1/sessions/{id}/scale", tag = "maps", params(("id", description = "The session's id")),
-    request_body = SetScale, responses(
-    (status = 200, description = "The session", body = Session),
-    (status = 400, description = "The number is wrong", body = ProblemDetails, content_type = "application/problem+json"),
-    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
-))]
-pub(super) async fn scale(
-    State(app): State<App>,
-    AskedBy(caller): AskedBy,
-    Path(id): Path<String>,
-    Body(request): Body<SetScale>,
-) -> Result<Json<Session>, ApiError> {
-    let id = caller.session(&id, "id")?;
-    Ok(Json(app.service.set_scale(&caller, &id, request.metres_per_unit).await?.into()))
-}
-
-/// Adjusts the whole map. Not in this version.
-#[utoipa::path(post, path = "/v1/sessions/{id}/optimize", tag = "maps",
-    params(("id", description = "The session's id")), responses(
-    (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
-    (status = 501, description = "Not in this version", body = ProblemDetails, content_type = "application/problem+json")
-))]
-pub(super) async fn optimize(
-    State(app): State<App>,
-    AskedBy(caller): AskedBy,
-    Path(id): Path<String>,
-) -> Result<StatusCode, ApiError> {
-    app.service.optimize(&caller.session(&id, "id")?).await?;
-    Ok(StatusCode::NO_CONTENT)
 }
 
 /// What became of a session that was deleted.

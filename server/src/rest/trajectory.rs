@@ -57,12 +57,12 @@ pub(super) struct Wanted {
     /// Which poses.
     #[param(inline)]
     kind: Kind,
-    /// Poses of this submap only; submaps do not share a frame of reference. By default all submaps in `csv`
-    /// and `json`, which name each pose's, and in the other formats the one with the most poses; how many are
-    /// left out then is told in the header `x-monoslam-poses-left-out`, and in TUM and EuRoC files in a
-    /// comment.
-    #[serde(alias = "submap")]
-    submap_id: Option<u32>,
+    /// Whose poses: `all`, `largest`, or the number of a submap; submaps do not share a frame of reference. By
+    /// default all submaps in `csv` and `json`, which name each pose's, and in the other formats the largest.
+    /// How many are left out is told in the header `x-monoslam-poses-left-out`, and in TUM and EuRoC files of
+    /// the largest in a comment.
+    #[serde(alias = "submap_id")]
+    submap: Option<String>,
     /// First time, nanoseconds.
     from_timestamp_ns: Option<i64>,
     /// Last time, nanoseconds.
@@ -84,6 +84,15 @@ pub(super) async fn trajectory(
     Params(wanted): Params<Wanted>,
 ) -> Result<impl IntoResponse, ApiError> {
     let id = caller.session(&id, "id")?;
+    let submaps =
+        match wanted.submap.as_deref() {
+            None | Some("") => wanted.format.submaps(),
+            Some("all") => SubmapChoice::All,
+            Some("largest") => SubmapChoice::Largest,
+            Some(number) => SubmapChoice::One(SubmapId(number.parse().map_err(|_| {
+                ApiError::invalid("submap", "must be all, largest, or the number of a submap")
+            })?)),
+        };
     let query = TrajectoryQuery {
         kind: match wanted.kind {
             Kind::Frames => TrajectoryKind::Frames,
@@ -91,8 +100,9 @@ pub(super) async fn trajectory(
         },
         from_timestamp_ns: wanted.from_timestamp_ns,
         to_timestamp_ns: wanted.to_timestamp_ns,
-        submaps: wanted.submap_id.map_or(wanted.format.submaps(), |id| SubmapChoice::One(SubmapId(id))),
+        submaps,
     };
+    let n_left_out = app.service.maps().n_poses_left_out(&id, query.kind, query.submaps).await?;
     let left_out = match query.submaps {
         SubmapChoice::Largest => LeftOut::of(&app.service.maps().poses_by_submap(&id, query.kind).await?),
         _ => LeftOut::default(),
@@ -108,10 +118,8 @@ pub(super) async fn trajectory(
     let whole = tokio_stream::once(Ok(head)).chain(body).chain(tokio_stream::once(Ok(tail)));
     let chunks = whole.filter(|chunk| !matches!(chunk, Ok(text) if text.is_empty()));
     let chunks = chunks.map(|chunk| chunk.map(Bytes::from));
-    let headers = [
-        (CONTENT_TYPE, wanted.format.media_type().to_owned()),
-        (POSES_LEFT_OUT, left_out.n_poses.to_string()),
-    ];
+    let headers =
+        [(CONTENT_TYPE, wanted.format.media_type().to_owned()), (POSES_LEFT_OUT, n_left_out.to_string())];
     Ok((headers, Body::from_stream(chunks)))
 }
 
@@ -185,6 +193,8 @@ impl Format {
 struct JsonPose {
     sequence: u64,
     timestamp_ns: i64,
+    /// For programs whose numbers do not hold all the digits.
+    timestamp_ns_text: String,
     state: TrackingState,
     submap_id: u32,
     backfilled: bool,
@@ -242,8 +252,16 @@ impl TrajectoryWriter {
             Format::Json => {
                 let world_from_camera = Pose { tx, ty, tz, qx, qy, qz, qw };
                 let submap_id = submap.0;
-                let row =
-                    JsonPose { sequence, timestamp_ns, state, submap_id, backfilled, world_from_camera };
+                let timestamp_ns_text = timestamp_ns.to_string();
+                let row = JsonPose {
+                    sequence,
+                    timestamp_ns,
+                    timestamp_ns_text,
+                    state,
+                    submap_id,
+                    backfilled,
+                    world_from_camera,
+                };
                 let comma = if self.n_written == 1 { "\n" } else { ",\n" };
                 // Numbers and words only: nothing that JSON cannot say, as poses are finite.
                 format!("{comma}{}", serde_json::to_string(&row).unwrap_or_default())

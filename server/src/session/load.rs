@@ -9,7 +9,7 @@ use crate::options::engine_config_of;
 use crate::soundness::damaged;
 use geometry::Camera;
 use slam::map::FrameState;
-use slam::{MapUpdate, Pipeline, ResumeState, SlamConfig, Threading};
+use slam::{MapUpdate, Pipeline, ResumeState, SlamConfig};
 use std::sync::{Arc, Mutex, PoisonError};
 use store::{KeyframeImage, LoadedSession, SessionStatus, Store, StoredFrame};
 
@@ -33,9 +33,12 @@ pub struct StoredSession {
     /// By how much the engine's times are ahead of the client's, nanoseconds.
     pub ahead_ns: i64,
     last_frame: Option<(u64, i64)>,
-    config: SlamConfig,
-    camera: Camera,
-    state: ResumeState,
+    /// What its engine runs with.
+    pub config: SlamConfig,
+    /// Its camera.
+    pub camera: Camera,
+    /// Its map and its last frame.
+    pub state: ResumeState,
 }
 
 impl StoredSession {
@@ -100,18 +103,6 @@ pub fn resume(stored: StoredSession) -> Result<Pipeline, ApiError> {
     let StoredSession { id, config, camera, state, .. } = stored;
     Pipeline::resume(config, camera, Arc::new(SystemClock::new()), state)
         .map_err(|error| cannot_be_taken_up(&id, &error))
-}
-
-/// Makes an engine that locates one image, whatever its time and number, and changes nothing; as [`resume`].
-///
-/// # Errors
-/// If the stored map is inconsistent.
-pub fn resume_to_locate(mut stored: StoredSession) -> Result<Pipeline, ApiError> {
-    stored.config.threading = Threading::Inline;
-    stored.state.last_frame = None;
-    let mut pipeline = resume(stored)?;
-    pipeline.set_mapping(false);
-    Ok(pipeline)
 }
 
 /// The stored frames of one session.

@@ -12,6 +12,7 @@ use super::worker::{Ends, Mode, Persistence, Replies, Stream, Worker, WorkerConf
 use super::{SessionId, writer};
 use crate::current::Current;
 use crate::error::{ApiError, ErrorCode};
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use store::Store;
@@ -41,6 +42,8 @@ pub struct Registry {
     store: Store,
     /// What lasts while a session comes and goes is who watches it.
     slots: Slots<SessionId, Loaded, Events>,
+    /// Sessions that an operation works on. Whoever wants one of them is told instead of waiting for long.
+    occupied: Mutex<BTreeSet<SessionId>>,
     /// Ends what watches sessions.
     closed: CancellationToken,
 }
@@ -73,7 +76,7 @@ impl Registry {
     /// A registry without sessions.
     pub fn new(config: Current, store: Store) -> Self {
         let slots = Slots::new(config.get().limits.max_loaded_sessions);
-        Self { config, store, slots, closed: CancellationToken::new() }
+        Self { config, store, slots, occupied: Mutex::default(), closed: CancellationToken::new() }
     }
 
     /// Gives a client the session to write into, loading it if it is not in memory. Answers go to `replies`.
@@ -85,6 +88,7 @@ impl Registry {
         request: OpenRequest,
         replies: Replies,
     ) -> Result<Arc<FrameQueue>, ApiError> {
+        self.check_unoccupied(&request.id)?;
         let held = self.slots.hold(&request.id).await;
         let capacity = match request.policy {
             Policy::Lossless => self.config.get().sessions.lossless_queue_frames,
@@ -149,6 +153,7 @@ impl Registry {
         id: &SessionId,
         delete: impl Future<Output = Result<(), ApiError>>,
     ) -> Result<(), ApiError> {
+        self.check_unoccupied(id)?;
         let held = self.slots.hold(id).await;
         unload(&held, id, "deleting the session").await?;
         delete.await?;
@@ -166,11 +171,49 @@ impl Registry {
         id: &SessionId,
         change: impl Future<Output = Result<T, ApiError>>,
     ) -> Result<T, ApiError> {
+        self.check_unoccupied(id)?;
         let held = self.slots.hold(id).await;
         unload(&held, id, "changing its options").await?;
         let changed = change.await?;
         held.lasting().settings();
         Ok(changed)
+    }
+
+    /// Takes sessions out of memory and runs `work` on what is stored of them, for as long as it takes. Whoever
+    /// wants one of them meanwhile is refused.
+    ///
+    /// # Errors
+    /// If a writer is connected to one, another operation works on it, or what `work` says.
+    pub async fn occupy<T, Working: Future<Output = Result<T, ApiError>>>(
+        &self,
+        ids: &BTreeSet<SessionId>,
+        purpose: &str,
+        work: impl FnOnce() -> Working,
+    ) -> Result<T, ApiError> {
+        self.check_open()?;
+        let _occupied = Occupied::of(&self.occupied, ids)?;
+        // In the order of the ids, so that two who want the same do not wait for each other.
+        let mut all_held = Vec::with_capacity(ids.len());
+        for id in ids {
+            let held = self.slots.hold(id).await;
+            unload(&held, id, purpose).await?;
+            all_held.push(held);
+        }
+        work().await
+    }
+
+    /// Where a session's events go.
+    pub fn events_of(&self, id: &SessionId) -> Events {
+        self.slots.lasting(id)
+    }
+
+    /// How new a session's map is; `None` if it was not in memory since the server began.
+    pub fn revision(&self, id: &SessionId) -> Option<Revision> {
+        Some(self.slots.known(id)?.journal().since(None).revision)
+    }
+
+    fn check_unoccupied(&self, id: &SessionId) -> Result<(), ApiError> {
+        if lock(&self.occupied).contains(id) { Err(occupied(id)) } else { Ok(()) }
     }
 
     /// Runs `store`, which stores a new scale, and tells the session if it is in memory.
@@ -183,6 +226,7 @@ impl Registry {
         metres_per_unit: Option<f64>,
         store: impl Future<Output = Result<T, ApiError>>,
     ) -> Result<T, ApiError> {
+        self.check_unoccupied(id)?;
         // Whoever loads the session meanwhile would read the old scale.
         let held = self.slots.hold(id).await;
         let stored = store.await?;
@@ -269,6 +313,39 @@ impl Registry {
         spawn(Beginning { id: id.clone(), config, stored, persistence, saving, ends, stay }).await?;
         Ok(loaded)
     }
+}
+
+/// The mark that an operation works on sessions.
+struct Occupied<'a> {
+    all: &'a Mutex<BTreeSet<SessionId>>,
+    ids: BTreeSet<SessionId>,
+}
+
+impl<'a> Occupied<'a> {
+    fn of(all: &'a Mutex<BTreeSet<SessionId>>, ids: &BTreeSet<SessionId>) -> Result<Self, ApiError> {
+        let mut marked = lock(all);
+        if let Some(taken) = ids.iter().find(|id| marked.contains(*id)) {
+            return Err(occupied(taken));
+        }
+        marked.extend(ids.iter().cloned());
+        Ok(Self { all, ids: ids.clone() })
+    }
+}
+
+impl Drop for Occupied<'_> {
+    fn drop(&mut self) {
+        let mut marked = lock(self.all);
+        self.ids.iter().for_each(|id| {
+            marked.remove(id);
+        });
+    }
+}
+
+fn occupied(id: &SessionId) -> ApiError {
+    let sentence = format!(
+        "an operation works on session {id}; wait until it has ended, or cancel it (operations list)"
+    );
+    ApiError::new(ErrorCode::SessionBusy, sentence)
 }
 
 /// The ends of what ties the registry to a worker, and the worker's.

@@ -30,7 +30,7 @@ async fn large_world() -> (TestServer, Client) {
     let mut world = structured(7, LARGE);
     world.points.iter_mut().for_each(|point| point.submap = SubmapId((point.id.get() % 2) as u32));
     let (server, mut client) = serve(&world).await;
-    let scale = v1::SetScaleRequest { session_id: "s".into(), metres_per_unit: Some(2.5) };
+    let scale = v1::SetScaleRequest { session_id: "s".into(), metres_per_unit: Some(2.5), reference: None };
     client.set_scale(scale).await.unwrap();
     (server, client)
 }
@@ -168,7 +168,8 @@ async fn key_frames_and_primitives_are_streamed_that_are_paged() {
     let row = |keyframe: v1::Keyframe| {
         json!({
             "id": keyframe.id, "submap_id": keyframe.submap_id, "sequence": keyframe.sequence,
-            "timestamp_ns": keyframe.timestamp_ns, "world_from_camera": pose(keyframe.pose_world_from_camera),
+            "timestamp_ns": keyframe.timestamp_ns,
+            "timestamp_ns_text": keyframe.timestamp_ns.to_string(), "world_from_camera": pose(keyframe.pose_world_from_camera),
             "parent": keyframe.parent, "n_keypoints": keyframe.n_keypoints, "n_points": keyframe.n_points,
             "n_segments": keyframe.n_segments, "n_lines": keyframe.n_lines, "has_image": keyframe.has_image,
         })
@@ -218,7 +219,8 @@ async fn trajectories_are_streamed_that_are_written() {
         let row = |row: v1::TrajectoryPose| {
             assert_eq!(row.state(), v1::TrackingState::Tracked);
             json!({
-                "sequence": row.sequence, "timestamp_ns": row.timestamp_ns, "state": "tracked",
+                "sequence": row.sequence, "timestamp_ns": row.timestamp_ns,
+                "timestamp_ns_text": row.timestamp_ns.to_string(), "state": "tracked",
                 "submap_id": row.submap_id, "backfilled": row.backfilled,
                 "world_from_camera": pose(row.pose_world_from_camera),
             })

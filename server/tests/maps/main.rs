@@ -7,3 +7,4 @@ mod rest;
 mod rounded;
 mod routes;
 mod scene;
+mod search;

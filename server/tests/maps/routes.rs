@@ -97,7 +97,6 @@ async fn every_request_has_its_answer() {
     let scale = json!({ "metres_per_unit": 2.5 });
     insta::assert_snapshot!("route_scale", send(Method::POST, "/v1/sessions/s/scale", scale).await);
     insta::assert_snapshot!("route_metric_points", get(&api, "/v1/sessions/s/points?page_size=1").await);
-    insta::assert_snapshot!("route_optimize", send(Method::POST, "/v1/sessions/s/optimize", json!({})).await);
     insta::assert_snapshot!("route_delete", send(Method::DELETE, "/v1/sessions/s", json!({})).await);
 }
 

@@ -7,9 +7,14 @@ use super::stage_two::StageTwo;
 use crate::config::SlamConfig;
 use crate::landmarks::{Anchoring, apply_corrections};
 use crate::map::{Keyframe, KeyframeId, Map, SubmapId};
+use crate::work::Stretch;
 use geometry::{CameraCorrection, Pose, Similarity};
+use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
+
+/// How often a submap is solved, one time after the other.
+const N_STAGES: usize = 3;
 
 /// What bundle adjustment of a submap found.
 #[derive(Clone, Debug, Default)]
@@ -22,6 +27,13 @@ pub(crate) struct GlobalResult {
     correction: Option<CameraCorrection>,
 }
 
+/// The cost of all sightings of a submap's points and lines (`Adjustment::cost_of_all_sightings`).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Costs {
+    pub before: f64,
+    pub after: f64,
+}
+
 /// Adjusts every keyframe of a submap with the points and lines they see: all of it, then without the
 /// outliers, then with what primitives say of keyframes that never saw the same place. `None` if `abort` was
 /// set meanwhile or there is nothing to adjust.
@@ -31,8 +43,44 @@ pub(crate) fn adjust(
     config: &SlamConfig,
     abort: &AtomicBool,
 ) -> Option<GlobalResult> {
+    let mut adjustment = problem_of(map, submap, config)?;
+    solve(&mut adjustment, submap, config, || abort.load(Ordering::Relaxed));
+    let adjusted = adjustment.result();
+    let fixed = oldest(map, submap);
+    (!abort.load(Ordering::Relaxed)).then_some(GlobalResult { submap, fixed, adjusted, correction: None })
+}
+
+/// As [`adjust`], telling how far it is, and what it cost before and afterwards.
+pub(crate) fn adjust_watched(
+    map: &Map,
+    submap: SubmapId,
+    config: &SlamConfig,
+    stretch: &Stretch<'_>,
+) -> Option<(GlobalResult, Costs)> {
+    let mut adjustment = problem_of(map, submap, config)?;
+    let before = adjustment.cost_of_all_sightings();
+    let most = (N_STAGES * config.loops.global_iterations.max(1)) as f64;
+    let n_begun = Cell::new(0_u32);
+    solve(&mut adjustment, submap, config, || {
+        n_begun.set(n_begun.get() + 1);
+        stretch.count_iteration();
+        stretch.reach(f64::from(n_begun.get()) / most)
+    });
+    if stretch.reach(1.0) {
+        return None;
+    }
+    let (adjusted, fixed) = (adjustment.result(), oldest(map, submap));
+    let costs = Costs { before, after: adjustment.cost_of_all_sightings() };
+    Some((GlobalResult { submap, fixed, adjusted, correction: None }, costs))
+}
+
+/// The oldest keyframe settles position and attitude, and damping the scale.
+fn oldest(map: &Map, submap: SubmapId) -> Option<KeyframeId> {
+    map.keyframes_of(submap).map(|keyframe| keyframe.id).min()
+}
+
+fn problem_of(map: &Map, submap: SubmapId, config: &SlamConfig) -> Option<Adjustment> {
     let mut free: BTreeSet<KeyframeId> = map.keyframes_of(submap).map(|keyframe| keyframe.id).collect();
-    // The oldest keyframe settles position and attitude, and damping the scale.
     let fixed = free.pop_first()?;
     let scope = Scope {
         free,
@@ -44,17 +92,18 @@ pub(crate) fn adjust(
     if config.features.global_primitives {
         adjustment.expect_primitives(map, &config.primitives);
     }
-    let aborted = || abort.load(Ordering::Relaxed);
+    Some(adjustment)
+}
+
+fn solve(adjustment: &mut Adjustment, submap: SubmapId, config: &SlamConfig, aborted: impl Fn() -> bool) {
     let max_iterations = config.loops.global_iterations;
-    adjustment.solve(max_iterations, aborted);
+    adjustment.solve(max_iterations, &aborted);
     adjustment.judge_sightings();
-    adjustment.solve(max_iterations, aborted);
-    let added = adjustment.add_primitives_everywhere(&config.primitives, max_iterations, aborted);
+    adjustment.solve(max_iterations, &aborted);
+    let added = adjustment.add_primitives_everywhere(&config.primitives, max_iterations, &aborted);
     if added == StageTwo::Refused {
         tracing::info!(%submap, "primitives disagree with the submap's points and lines: left out");
     }
-    let adjusted = adjustment.result();
-    (!aborted()).then_some(GlobalResult { submap, fixed: Some(fixed), adjusted, correction: None })
 }
 
 /// Adjusts a submap to another camera: the one found with its poses and points, or the one of the

@@ -5,6 +5,9 @@
 pub struct RelocalizationConfig {
     /// Places tried per frame. Default 5.
     pub max_candidates: usize,
+    /// Neighbors of a place that is tried whose points are matched too. Default 0: the next frame may show the
+    /// place better; single images have no next one.
+    pub n_matched_neighbors: usize,
     /// Fewest matches with a place worth a try. Default 15.
     pub min_matches: usize,
     /// The same where vanishing points tell the camera's attitude, but for a few possibilities. Default 8:
@@ -30,6 +33,7 @@ impl Default for RelocalizationConfig {
     fn default() -> Self {
         Self {
             max_candidates: 5,
+            n_matched_neighbors: 0,
             min_matches: 15,
             min_matches_with_directions: 8,
             max_iterations: 300,

@@ -14,6 +14,17 @@ pub(super) struct Detector {
 impl Detector {
     /// Keyframes that look like the given one but are not around it, most similar first.
     pub fn candidates(&mut self, map: &Map, id: KeyframeId, config: &LoopConfig) -> Vec<KeyframeId> {
+        self.candidates_among(map, id, config, |_| true)
+    }
+
+    /// As [`Self::candidates`], among the keyframes that are wanted.
+    pub fn candidates_among(
+        &mut self,
+        map: &Map,
+        id: KeyframeId,
+        config: &LoopConfig,
+        is_wanted: impl Fn(KeyframeId) -> bool,
+    ) -> Vec<KeyframeId> {
         self.places.update(map);
         let Some(keyframe) = map.keyframe(id) else { return Vec::new() };
         let around = surroundings(map, id);
@@ -23,7 +34,7 @@ impl Detector {
         let is_neighbor = |other| other != id && around.contains(&other);
         let familiar =
             self.places.most_similar(descriptors, 1, is_neighbor).first().map_or(0.0, |place| place.score);
-        let is_elsewhere = |other| other != id && !around.contains(&other);
+        let is_elsewhere = |other| other != id && !around.contains(&other) && is_wanted(other);
         let likely = self.places.most_similar(descriptors, config.max_candidates, is_elsewhere);
         likely
             .into_iter()

@@ -91,8 +91,32 @@ impl LoopCloser {
         }
     }
 
+    /// Looks for the place a keyframe shows among keyframes of some kind, changing nothing.
+    pub fn recognize_among(
+        &mut self,
+        map: &Map,
+        id: KeyframeId,
+        is_wanted: impl Fn(&Map, KeyframeId) -> bool,
+    ) -> Option<Recognition> {
+        let candidates =
+            self.detector.candidates_among(map, id, &self.config.loops, |other| is_wanted(map, other));
+        self.confirmed(map, id, candidates)
+    }
+
+    /// Merges the submaps of two keyframes one of which was recognized in the other.
+    pub fn join(&mut self, map: &mut Map, recognition: &Recognition) -> Option<Closed> {
+        let current = map.keyframe(recognition.current)?.submap;
+        let matched = map.keyframe(recognition.matched)?.submap;
+        (current != matched).then(|| self.merge(map, recognition, current, matched))
+    }
+
     fn recognize(&mut self, map: &Map, id: KeyframeId) -> Option<Recognition> {
         let candidates = self.detector.candidates(map, id, &self.config.loops);
+        self.confirmed(map, id, candidates)
+    }
+
+    /// The first candidate that geometry confirms.
+    fn confirmed(&mut self, map: &Map, id: KeyframeId, candidates: Vec<KeyframeId>) -> Option<Recognition> {
         candidates.into_iter().find_map(|matched| {
             let place = Place::around(map, matched, id, self.config.loops.n_window_neighbors)?;
             let aligned = alignment::align(map, id, &place, &self.config, &mut self.rng)?;

@@ -7,4 +7,6 @@ mod search;
 
 pub(crate) use fusion::fuse_into;
 pub(crate) use lines::{ExpectedLine, PredictedSegment, match_lines, project_segment};
-pub(crate) use search::{Expected, PredictedView, Window, find_in_window, match_keyframe, search_by_motion};
+pub(crate) use search::{
+    Expected, PredictedView, Window, find_in_window, match_keyframe, match_place, search_by_motion,
+};

@@ -1,9 +1,10 @@
 //! Search by projection: landmarks in a frame, by predicted position and descriptor.
 
 use crate::features::FrameFeatures;
-use crate::map::{Keyframe, PointId, PointLandmark};
+use crate::map::{Keyframe, Map, PointId, PointLandmark};
 use geometry::Pose;
 use geometry::nalgebra::Vector2;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 use vision::Descriptor;
 use vision::matching::{LOOSE_DISTANCE, RotationConsistency, STRICT_DISTANCE, nearest_two};
@@ -199,4 +200,24 @@ pub(crate) fn match_keyframe(keyframe: &Keyframe, features: &FrameFeatures) -> V
         claim.filter(|(_, _, change)| dominant.accepts(*change)).map(|(_, point_id, _)| (idx, point_id))
     };
     claims.into_iter().enumerate().filter_map(accepted).collect()
+}
+
+/// As [`match_keyframe`], with what neighbors of the keyframe see as well; the keyframe itself has the first
+/// word, then the neighbors that share the most with it.
+pub(crate) fn match_place(
+    keyframe: &Keyframe,
+    features: &FrameFeatures,
+    map: &Map,
+    n_neighbors: usize,
+) -> Vec<(usize, PointId)> {
+    let neighbors = keyframe.covisible().iter().take(n_neighbors).filter_map(|(id, _)| map.keyframe(*id));
+    let (mut matched, mut seen) = (BTreeMap::new(), BTreeSet::new());
+    for other in std::iter::once(keyframe).chain(neighbors) {
+        for (feature_idx, point) in match_keyframe(other, features) {
+            if !matched.contains_key(&feature_idx) && seen.insert(point) {
+                matched.insert(feature_idx, point);
+            }
+        }
+    }
+    matched.into_iter().collect()
 }

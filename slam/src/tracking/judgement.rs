@@ -14,7 +14,7 @@ pub(super) fn judge(
     was_lost: bool,
     config: &TrackingConfig,
 ) -> TrackingOutcome {
-    let Placement { inliers, uncertainty } = *placement;
+    let Placement { inliers, uncertainty, .. } = *placement;
     let n_inliers = inliers.total();
     let within = |factor: f64| is_within(&uncertainty, factor, config);
     let n_required_of = |share: f64, least: usize, plenty: usize| {

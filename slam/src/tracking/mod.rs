@@ -11,6 +11,7 @@ mod pose;
 mod primitives;
 mod recovery;
 pub(crate) mod relocalization;
+mod single;
 #[cfg(test)]
 mod tests;
 mod unrolling;
@@ -33,6 +34,7 @@ use local_map::LocalMap;
 use primitives::PrimitiveTracks;
 use recovery::LastSeen;
 use relocalization::Relocalizer;
+pub(crate) use single::Located;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use vision::GrayImage;

@@ -29,6 +29,8 @@ pub(crate) struct Placement {
     pub inliers: Inliers,
     /// How well they determine it.
     pub uncertainty: PoseUncertainty,
+    /// Inverse of its covariance, in the pose's tangent: turn, then shift.
+    pub information: Matrix6<f64>,
 }
 
 /// Places a frame by the landmarks it was matched to and by the primitives its segments run along, and drops
@@ -74,6 +76,7 @@ pub(crate) fn place_frame(frame: &mut TrackedFrame, map: &Map, config: &Primitiv
     Placement {
         inliers: Inliers { n_points: points.n_inliers(), n_lines: lines.n_inliers() },
         uncertainty: uncertainty_of(&report.information, median_depth(frame, map)),
+        information: report.information,
     }
 }
 

@@ -1,6 +1,6 @@
 //! Recovery of a lost camera: candidates for relocalization, and whether one is credible.
 
-use super::following::PoseStart;
+use super::following::{InLocalMap, PoseStart};
 use super::frame::{Inliers, TrackedFrame};
 use super::judgement::judge;
 use super::{Tracked, Tracker};
@@ -48,6 +48,16 @@ impl Tracker {
         map: &Map,
         except: Option<SubmapId>,
     ) -> Option<(TrackedFrame, Inliers, TrackingOutcome)> {
+        let (found, outcome) = self.search(view, map, except)?;
+        Some((found.frame, found.placement.inliers, outcome))
+    }
+
+    pub(super) fn search(
+        &mut self,
+        view: &View,
+        map: &Map,
+        except: Option<SubmapId>,
+    ) -> Option<(InLocalMap, TrackingOutcome)> {
         let reaches: Vec<Reach> = self
             .last_seen
             .values()
@@ -65,7 +75,7 @@ impl Tracker {
             let is_lost = matches!(outcome, TrackingOutcome::Lost(_));
             if !is_lost && self.is_credible(&found.frame, inliers, n_expected, &reaches) {
                 self.count_visibility(&found);
-                return Some((found.frame, inliers, outcome));
+                return Some((found, outcome));
             }
             self.n_since_relocalization = before;
         }

@@ -7,7 +7,7 @@ use crate::config::{ConfigError, PrimitiveConfig, RelocalizationConfig, SlamConf
 use crate::features::View;
 use crate::keyframe_index::KeyframeIndex;
 use crate::map::{Keyframe, KeyframeId, Map, PointId, SubmapId};
-use crate::matching::{Expected, match_keyframe, search_by_motion};
+use crate::matching::{Expected, match_place, search_by_motion};
 use crate::vanishing::VanishingFinder;
 use geometry::Pose;
 use geometry::absolute_pose::{PoseObservation, ransac_pose, ransac_pose_with_rotations};
@@ -39,6 +39,9 @@ pub(crate) struct Relocalizer {
     n_candidates: usize,
     /// The frame whose vanishing points were asked for last, by its number, and these, in its camera's frame.
     vanishing: Option<(u64, Vec<Vector3<f64>>)>,
+    /// Where to look only: a place, and how far from it, map units.
+    near: Option<(Vector3<f64>, f64)>,
+    seed: u64,
 }
 
 /// Keypoints of a frame that look like landmarks.
@@ -69,12 +72,20 @@ impl Relocalizer {
             rng: ChaCha8Rng::seed_from_u64(config.seed),
             n_candidates: 0,
             vanishing: None,
+            near: None,
+            seed: config.seed,
         })
     }
 
     /// Enters the keyframes that are new in the map and drops those that are gone.
     pub fn update(&mut self, map: &Map) {
         self.places.update(map);
+    }
+
+    /// Begins as if nothing had been looked for, and looks near a place only.
+    pub fn begin_anew(&mut self, near: Option<(Vector3<f64>, f64)>) {
+        self.rng = ChaCha8Rng::seed_from_u64(self.seed);
+        (self.vanishing, self.near) = (None, near);
     }
 
     /// Places that were tried for the last frame.
@@ -84,7 +95,13 @@ impl Relocalizer {
 
     /// The keyframes that look most like a frame, best first. A submap may be left out.
     pub fn candidates(&mut self, view: &View, map: &Map, except: Option<SubmapId>) -> Vec<KeyframeId> {
-        let is_wanted = |id| map.keyframe(id).is_some_and(|keyframe| Some(keyframe.submap) != except);
+        let near = self.near;
+        let is_near = |keyframe: &Keyframe| {
+            near.is_none_or(|(place, radius)| (keyframe.camera_from_world.center() - place).norm() <= radius)
+        };
+        let is_wanted = |id| {
+            map.keyframe(id).is_some_and(|keyframe| Some(keyframe.submap) != except && is_near(keyframe))
+        };
         let candidates =
             self.places.most_similar(&view.features.descriptors, self.config.max_candidates, is_wanted);
         self.n_candidates = candidates.len();
@@ -94,7 +111,7 @@ impl Relocalizer {
     /// The frame with a pose and matches, if the place of a [candidate](Self::candidates) fits it: by its
     /// points, or, where few are matched, by those and the directions that both show.
     pub fn try_place(&mut self, view: &View, keyframe: &Keyframe, map: &Map) -> Option<TrackedFrame> {
-        let matches = Matches::of(view, keyframe, map);
+        let matches = Matches::of(view, keyframe, map, self.config.n_matched_neighbors);
         if matches.known.len() >= self.config.min_matches {
             let placed = self.place(view, keyframe, &matches, &Start::Matches, map);
             if placed.is_some() {
@@ -198,10 +215,10 @@ impl Relocalizer {
 }
 
 impl Matches {
-    fn of(view: &View, keyframe: &Keyframe, map: &Map) -> Self {
+    fn of(view: &View, keyframe: &Keyframe, map: &Map, n_neighbors: usize) -> Self {
         let features = &view.features;
         let focal_px = features.pinhole.mean_focal_px();
-        let (known, observations) = match_keyframe(keyframe, features)
+        let (known, observations) = match_place(keyframe, features, map, n_neighbors)
             .into_iter()
             .filter_map(|(feature_idx, id)| {
                 let observation = PoseObservation {

@@ -62,6 +62,29 @@ pub(super) async fn write_keyframes(
     delete_keyframes(connection, session, update).await
 }
 
+/// Copies images of keyframes of one session to those of another, given by their numbers there and here; what
+/// has none, or is not in the map any more, is passed over.
+pub(super) async fn copy_images(
+    connection: &mut SqliteConnection,
+    (from, into): (i64, i64),
+    keyframes: &[(KeyframeId, KeyframeId)],
+) -> Result<(), StoreError> {
+    for (there, here) in keyframes {
+        sqlx::query(
+            "INSERT INTO keyframe_images (session, keyframe, media_type, bytes)
+             SELECT ?1, ?2, media_type, bytes FROM keyframe_images WHERE session = ?3 AND keyframe = ?4
+             AND EXISTS (SELECT 1 FROM keyframes WHERE session = ?1 AND id = ?2)",
+        )
+        .bind(into)
+        .bind(keyframe_column(*here)?)
+        .bind(from)
+        .bind(keyframe_column(*there)?)
+        .execute(&mut *connection)
+        .await?;
+    }
+    Ok(())
+}
+
 async fn delete_keyframes(
     connection: &mut SqliteConnection,
     session: i64,

@@ -66,6 +66,32 @@ impl Store {
         outcome
     }
 
+    /// As [`Self::save_update`], of an update that takes keyframes of another session in: their images come
+    /// along. `keyframes` has their numbers there and here.
+    ///
+    /// # Errors
+    /// As [`Self::save_update`].
+    pub async fn save_merged(
+        &self,
+        session: &str,
+        update: &MapUpdate,
+        status: SessionStatus,
+        (from, keyframes): (&str, &[(KeyframeId, KeyframeId)]),
+    ) -> Result<Committed, StoreError> {
+        let outcome = async {
+            let mut transaction = self.begin_write().await?;
+            let committed = write_update(&mut transaction, session, update, status, &[]).await?;
+            let (number, _) = read_session(&mut transaction, session).await?;
+            let (other, _) = read_session(&mut transaction, from).await?;
+            keyframes::copy_images(&mut transaction, (other, number), keyframes).await?;
+            transaction.commit().await?;
+            Ok(committed)
+        };
+        let outcome = outcome.await;
+        self.place().note(&outcome);
+        outcome
+    }
+
     async fn write_update(
         &self,
         session: &str,
@@ -74,40 +100,50 @@ impl Store {
         images: &[KeyframeImage],
     ) -> Result<Committed, StoreError> {
         let mut transaction = self.begin_write().await?;
-        let (number, before) = read_session(&mut transaction, session).await?;
-        let segments = Segments::read(&mut transaction, number).await?;
-
-        landmarks::delete::<PointLandmark>(&mut transaction, number, update).await?;
-        landmarks::delete::<LineLandmark>(&mut transaction, number, update).await?;
-        keyframes::write_keyframes(&mut transaction, number, update, &segments).await?;
-        keyframes::write_features(&mut transaction, number, update).await?;
-        keyframes::write_images(&mut transaction, number, update, images).await?;
-        primitives::write_vanishing(&mut transaction, number, update).await?;
-        landmarks::write::<PointLandmark>(&mut transaction, number, update).await?;
-        landmarks::write::<LineLandmark>(&mut transaction, number, update).await?;
-        primitives::write_primitives(&mut transaction, number, update).await?;
-        if update.changes.correction {
-            write_correction(&mut transaction, number, &update.map.correction()).await?;
-        }
-        let n_new_frames = write_frames(&mut transaction, number, &update.frames, &segments).await?;
-
-        let newest = update.frames.iter().max_by_key(|frame| frame.sequence);
-        let newest =
-            newest.map(|frame| (frame.sequence, segments.client_ns(frame.sequence, frame.timestamp_ns)));
-        let last_frame = before.last_frame.max(newest);
-        let counts = SessionCounts {
-            n_frames: before.counts.n_frames + n_new_frames,
-            n_keyframes: update.map.n_keyframes() as u64,
-            n_points: update.map.n_points() as u64,
-            n_lines: update.map.n_lines() as u64,
-            n_primitives: update.map.n_primitives() as u64,
-            n_submaps: update.map.submaps().len() as u32,
-        };
-        write_progress(&mut transaction, number, status.state, last_frame, update.map.last_ids(), &counts)
-            .await?;
+        let committed = write_update(&mut transaction, session, update, status, images).await?;
         transaction.commit().await?;
-        Ok(Committed { last_sequence: last_frame.map(|(sequence, _)| sequence), counts })
+        Ok(committed)
     }
+}
+
+/// Writes an update's rows, without the commit.
+async fn write_update(
+    transaction: &mut SqliteConnection,
+    session: &str,
+    update: &MapUpdate,
+    status: SessionStatus,
+    images: &[KeyframeImage],
+) -> Result<Committed, StoreError> {
+    let (number, before) = read_session(transaction, session).await?;
+    let segments = Segments::read(transaction, number).await?;
+
+    landmarks::delete::<PointLandmark>(transaction, number, update).await?;
+    landmarks::delete::<LineLandmark>(transaction, number, update).await?;
+    keyframes::write_keyframes(transaction, number, update, &segments).await?;
+    keyframes::write_features(transaction, number, update).await?;
+    keyframes::write_images(transaction, number, update, images).await?;
+    primitives::write_vanishing(transaction, number, update).await?;
+    landmarks::write::<PointLandmark>(transaction, number, update).await?;
+    landmarks::write::<LineLandmark>(transaction, number, update).await?;
+    primitives::write_primitives(transaction, number, update).await?;
+    if update.changes.correction {
+        write_correction(transaction, number, &update.map.correction()).await?;
+    }
+    let n_new_frames = write_frames(transaction, number, &update.frames, &segments).await?;
+
+    let newest = update.frames.iter().max_by_key(|frame| frame.sequence);
+    let newest = newest.map(|frame| (frame.sequence, segments.client_ns(frame.sequence, frame.timestamp_ns)));
+    let last_frame = before.last_frame.max(newest);
+    let counts = SessionCounts {
+        n_frames: before.counts.n_frames + n_new_frames,
+        n_keyframes: update.map.n_keyframes() as u64,
+        n_points: update.map.n_points() as u64,
+        n_lines: update.map.n_lines() as u64,
+        n_primitives: update.map.n_primitives() as u64,
+        n_submaps: update.map.submaps().len() as u32,
+    };
+    write_progress(transaction, number, status.state, last_frame, update.map.last_ids(), &counts).await?;
+    Ok(Committed { last_sequence: last_frame.map(|(sequence, _)| sequence), counts })
 }
 
 const FRAME_ROWS: MultiRow = MultiRow {

@@ -52,6 +52,9 @@ pub struct StreamArgs {
     /// Stream a recording again that the session has already, behind what is there
     #[arg(long)]
     again: bool,
+    /// Only locate the frames in the session's map, which must be there and stays as it is
+    #[arg(long, requires = "session")]
+    localize_only: bool,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -171,6 +174,7 @@ fn plan(
         placement,
         take_over: args.take_over,
         new_segment: args.new_segment,
+        localize_only: args.localize_only,
     }
 }
 
@@ -207,6 +211,10 @@ async fn open_session(client: &mut SlamClient, args: &StreamArgs, input: &Input)
         return Ok(session);
     }
     let name = args.session.as_deref().unwrap_or_default();
+    ensure!(
+        !args.localize_only,
+        "there is no session `{name}` to locate frames in; leave out --localize-only to make one"
+    );
     Ok(client.create_session(name, &input.camera, args.options.message()).await?)
 }
 

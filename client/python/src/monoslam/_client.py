@@ -197,11 +197,15 @@ class Client:
         return arrays.keyframes(self._read(self._stub.ListKeyframes(request)))
 
     def trajectory(
-        self, session_id: str, *, keyframes: bool = False, submap_id: int | None = None
+        self, session_id: str, *, keyframes: bool = False, submap: int | str | None = None
     ) -> arrays.Trajectory:
-        """Poses of all frames that have one, or of keyframes only, as the map stands now."""
+        """Poses of all frames that have one, or of keyframes only, as the map stands now.
+
+        Submaps do not share a frame of reference: `submap` is the number of one, "largest" or "all" (the
+        default); `n_left_out` of the answer says how many poses are in the others.
+        """
         kind = pb.TRAJECTORY_KIND_KEYFRAMES if keyframes else pb.TRAJECTORY_KIND_FRAMES
-        request = pb.GetTrajectoryRequest(session_id=session_id, kind=kind, submap_id=submap_id)
+        request = _wire.trajectory_request(session_id, kind, submap)
         return arrays.trajectory(self._read(self._stub.GetTrajectory(request)))
 
     def map(self, session_id: str) -> arrays.Map:

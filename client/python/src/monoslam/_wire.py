@@ -164,6 +164,18 @@ def localize_request(session_id: str, image: images.ImageLike, channels: str) ->
     return pb.LocalizeRequest(session_id=session_id, image=images.message(image, channels))
 
 
+def trajectory_request(session_id: str, kind: Any, submap: int | str | None) -> pb.GetTrajectoryRequest:
+    """The trajectory of one submap, of the largest, or of all."""
+    request = pb.GetTrajectoryRequest(session_id=session_id, kind=kind)
+    if submap == "largest":
+        request.submaps = pb.SUBMAP_SELECTION_LARGEST
+    elif isinstance(submap, int):
+        request.submap_id = submap
+    elif submap not in (None, "all"):
+        raise ValueError(f'{submap!r} is no choice of submaps: a number, "largest" or "all"')
+    return request
+
+
 def region(
     bbox: Any | None, near: Any | None, radius: float | None, min_observations: int, submap_id: int | None
 ) -> dict[str, Any]:

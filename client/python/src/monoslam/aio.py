@@ -197,11 +197,11 @@ class AsyncClient:
         return arrays.keyframes(await self._all(self._stub.ListKeyframes(request)))
 
     async def trajectory(
-        self, session_id: str, *, keyframes: bool = False, submap_id: int | None = None
+        self, session_id: str, *, keyframes: bool = False, submap: int | str | None = None
     ) -> arrays.Trajectory:
         """See `Client.trajectory`."""
         kind = pb.TRAJECTORY_KIND_KEYFRAMES if keyframes else pb.TRAJECTORY_KIND_FRAMES
-        request = pb.GetTrajectoryRequest(session_id=session_id, kind=kind, submap_id=submap_id)
+        request = _wire.trajectory_request(session_id, kind, submap)
         return arrays.trajectory(await self._all(self._stub.GetTrajectory(request)))
 
     async def map(self, session_id: str) -> arrays.Map:

@@ -38,8 +38,9 @@ class Table:
         return len(self.submap_id)
 
     def __getitem__(self: _Table, rows: Any) -> _Table:
-        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "scale"}
-        return type(self)(scale=self.scale, **{name: column[rows] for name, column in columns.items()})
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        # What is said of the whole table stays.
+        return type(self)(**{n: v[rows] if isinstance(v, np.ndarray) else v for n, v in values.items()})
 
     def of_submap(self: _Table, submap_id: int) -> _Table:
         """The rows of one submap."""
@@ -129,6 +130,8 @@ class Trajectory(Posed):
     """`TrackingState` of each."""
     backfilled: Bools
     """The pose was found after the frame was answered."""
+    n_left_out: int = 0
+    """Poses of other submaps than those asked for."""
 
     def largest_submap(self) -> Trajectory:
         """The poses of the submap that has most of them, which is what one file can hold."""
@@ -223,13 +226,15 @@ def keyframes(batches: Iterable[Any]) -> Keyframes:
 
 def trajectory(batches: Iterable[Any]) -> Trajectory:
     """From messages of GetTrajectory."""
-    scale, rows = _gather(batches, "poses")
+    messages = list(batches)
+    scale, rows = _gather(messages, "poses")
     states: list[TrackingState] = [_convert.state(row.state) for row in rows]
     return Trajectory(
         **_common(scale, rows),
         **_posed(rows),
         state=np.array(states, dtype=np.object_),
         backfilled=np.array([row.backfilled for row in rows], dtype=np.bool_),
+        n_left_out=messages[0].n_poses_left_out if messages else 0,
     )
 
 

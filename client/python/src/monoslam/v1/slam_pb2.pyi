@@ -15,6 +15,21 @@ class CameraModel(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     CAMERA_MODEL_KANNALA_BRANDT: _ClassVar[CameraModel]
     CAMERA_MODEL_FOV: _ClassVar[CameraModel]
 
+class OperationKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    OPERATION_KIND_UNSPECIFIED: _ClassVar[OperationKind]
+    OPERATION_KIND_OPTIMIZE: _ClassVar[OperationKind]
+    OPERATION_KIND_MERGE: _ClassVar[OperationKind]
+
+class OperationState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    OPERATION_STATE_UNSPECIFIED: _ClassVar[OperationState]
+    OPERATION_STATE_QUEUED: _ClassVar[OperationState]
+    OPERATION_STATE_RUNNING: _ClassVar[OperationState]
+    OPERATION_STATE_DONE: _ClassVar[OperationState]
+    OPERATION_STATE_FAILED: _ClassVar[OperationState]
+    OPERATION_STATE_CANCELLED: _ClassVar[OperationState]
+
 class StreamMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     STREAM_MODE_UNSPECIFIED: _ClassVar[StreamMode]
@@ -59,6 +74,12 @@ class TrajectoryKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     TRAJECTORY_KIND_FRAMES: _ClassVar[TrajectoryKind]
     TRAJECTORY_KIND_KEYFRAMES: _ClassVar[TrajectoryKind]
 
+class SubmapSelection(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    SUBMAP_SELECTION_UNSPECIFIED: _ClassVar[SubmapSelection]
+    SUBMAP_SELECTION_ALL: _ClassVar[SubmapSelection]
+    SUBMAP_SELECTION_LARGEST: _ClassVar[SubmapSelection]
+
 class MapFormat(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     MAP_FORMAT_UNSPECIFIED: _ClassVar[MapFormat]
@@ -74,6 +95,15 @@ CAMERA_MODEL_PINHOLE: CameraModel
 CAMERA_MODEL_RADTAN: CameraModel
 CAMERA_MODEL_KANNALA_BRANDT: CameraModel
 CAMERA_MODEL_FOV: CameraModel
+OPERATION_KIND_UNSPECIFIED: OperationKind
+OPERATION_KIND_OPTIMIZE: OperationKind
+OPERATION_KIND_MERGE: OperationKind
+OPERATION_STATE_UNSPECIFIED: OperationState
+OPERATION_STATE_QUEUED: OperationState
+OPERATION_STATE_RUNNING: OperationState
+OPERATION_STATE_DONE: OperationState
+OPERATION_STATE_FAILED: OperationState
+OPERATION_STATE_CANCELLED: OperationState
 STREAM_MODE_UNSPECIFIED: StreamMode
 STREAM_MODE_MAP_AND_LOCALIZE: StreamMode
 STREAM_MODE_LOCALIZE_ONLY: StreamMode
@@ -100,6 +130,9 @@ SCALE_KIND_METRIC: ScaleKind
 TRAJECTORY_KIND_UNSPECIFIED: TrajectoryKind
 TRAJECTORY_KIND_FRAMES: TrajectoryKind
 TRAJECTORY_KIND_KEYFRAMES: TrajectoryKind
+SUBMAP_SELECTION_UNSPECIFIED: SubmapSelection
+SUBMAP_SELECTION_ALL: SubmapSelection
+SUBMAP_SELECTION_LARGEST: SubmapSelection
 MAP_FORMAT_UNSPECIFIED: MapFormat
 MAP_FORMAT_PLY: MapFormat
 MAP_FORMAT_JSON: MapFormat
@@ -152,7 +185,7 @@ class SessionOptions(_message.Message):
     def __init__(self, deterministic: bool = ..., seed: _Optional[int] = ..., n_features: _Optional[int] = ..., points: bool = ..., lines: bool = ..., global_primitives: bool = ..., loop_closing: bool = ..., max_keyframes: _Optional[int] = ..., refine_calibration: bool = ...) -> None: ...
 
 class Session(_message.Message):
-    __slots__ = ("id", "camera", "options", "created_at_ns", "state", "n_frames", "n_keyframes", "n_points", "n_lines", "n_primitives", "n_submaps", "durable_sequence", "next_sequence", "loaded", "has_writer", "last_timestamp_ns", "metres_per_unit", "refined_camera")
+    __slots__ = ("id", "camera", "options", "created_at_ns", "state", "n_frames", "n_keyframes", "n_points", "n_lines", "n_primitives", "n_submaps", "durable_sequence", "next_sequence", "loaded", "has_writer", "last_timestamp_ns", "metres_per_unit", "refined_camera", "scale_measurement")
     ID_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
@@ -171,6 +204,7 @@ class Session(_message.Message):
     LAST_TIMESTAMP_NS_FIELD_NUMBER: _ClassVar[int]
     METRES_PER_UNIT_FIELD_NUMBER: _ClassVar[int]
     REFINED_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    SCALE_MEASUREMENT_FIELD_NUMBER: _ClassVar[int]
     id: str
     camera: Camera
     options: SessionOptions
@@ -189,7 +223,8 @@ class Session(_message.Message):
     last_timestamp_ns: int
     metres_per_unit: float
     refined_camera: Camera
-    def __init__(self, id: _Optional[str] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., state: _Optional[_Union[TrackingState, str]] = ..., n_frames: _Optional[int] = ..., n_keyframes: _Optional[int] = ..., n_points: _Optional[int] = ..., n_lines: _Optional[int] = ..., n_primitives: _Optional[int] = ..., n_submaps: _Optional[int] = ..., durable_sequence: _Optional[int] = ..., next_sequence: _Optional[int] = ..., loaded: bool = ..., has_writer: bool = ..., last_timestamp_ns: _Optional[int] = ..., metres_per_unit: _Optional[float] = ..., refined_camera: _Optional[_Union[Camera, _Mapping]] = ...) -> None: ...
+    scale_measurement: ScaleMeasurement
+    def __init__(self, id: _Optional[str] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., state: _Optional[_Union[TrackingState, str]] = ..., n_frames: _Optional[int] = ..., n_keyframes: _Optional[int] = ..., n_points: _Optional[int] = ..., n_lines: _Optional[int] = ..., n_primitives: _Optional[int] = ..., n_submaps: _Optional[int] = ..., durable_sequence: _Optional[int] = ..., next_sequence: _Optional[int] = ..., loaded: bool = ..., has_writer: bool = ..., last_timestamp_ns: _Optional[int] = ..., metres_per_unit: _Optional[float] = ..., refined_camera: _Optional[_Union[Camera, _Mapping]] = ..., scale_measurement: _Optional[_Union[ScaleMeasurement, _Mapping]] = ...) -> None: ...
 
 class CreateSessionRequest(_message.Message):
     __slots__ = ("session_id", "camera", "options")
@@ -242,23 +277,118 @@ class UpdateSessionRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ...) -> None: ...
 
 class SetScaleRequest(_message.Message):
-    __slots__ = ("session_id", "metres_per_unit")
+    __slots__ = ("session_id", "metres_per_unit", "distance", "positions")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     METRES_PER_UNIT_FIELD_NUMBER: _ClassVar[int]
+    DISTANCE_FIELD_NUMBER: _ClassVar[int]
+    POSITIONS_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     metres_per_unit: float
-    def __init__(self, session_id: _Optional[str] = ..., metres_per_unit: _Optional[float] = ...) -> None: ...
+    distance: KnownDistance
+    positions: ReferencePositions
+    def __init__(self, session_id: _Optional[str] = ..., metres_per_unit: _Optional[float] = ..., distance: _Optional[_Union[KnownDistance, _Mapping]] = ..., positions: _Optional[_Union[ReferencePositions, _Mapping]] = ...) -> None: ...
+
+class KnownDistance(_message.Message):
+    __slots__ = ("to", "metres")
+    FROM_FIELD_NUMBER: _ClassVar[int]
+    TO_FIELD_NUMBER: _ClassVar[int]
+    METRES_FIELD_NUMBER: _ClassVar[int]
+    to: ScalePlace
+    metres: float
+    def __init__(self, to: _Optional[_Union[ScalePlace, _Mapping]] = ..., metres: _Optional[float] = ..., **kwargs) -> None: ...
+
+class ScalePlace(_message.Message):
+    __slots__ = ("point_id", "keyframe_id", "pixel")
+    POINT_ID_FIELD_NUMBER: _ClassVar[int]
+    KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
+    PIXEL_FIELD_NUMBER: _ClassVar[int]
+    point_id: int
+    keyframe_id: int
+    pixel: PickedPixel
+    def __init__(self, point_id: _Optional[int] = ..., keyframe_id: _Optional[int] = ..., pixel: _Optional[_Union[PickedPixel, _Mapping]] = ...) -> None: ...
+
+class PickedPixel(_message.Message):
+    __slots__ = ("keyframe_id", "x", "y")
+    KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
+    X_FIELD_NUMBER: _ClassVar[int]
+    Y_FIELD_NUMBER: _ClassVar[int]
+    keyframe_id: int
+    x: float
+    y: float
+    def __init__(self, keyframe_id: _Optional[int] = ..., x: _Optional[float] = ..., y: _Optional[float] = ...) -> None: ...
+
+class ReferencePositions(_message.Message):
+    __slots__ = ("rows", "max_error_m")
+    ROWS_FIELD_NUMBER: _ClassVar[int]
+    MAX_ERROR_M_FIELD_NUMBER: _ClassVar[int]
+    rows: _containers.RepeatedCompositeFieldContainer[ReferencePosition]
+    max_error_m: float
+    def __init__(self, rows: _Optional[_Iterable[_Union[ReferencePosition, _Mapping]]] = ..., max_error_m: _Optional[float] = ...) -> None: ...
+
+class ReferencePosition(_message.Message):
+    __slots__ = ("sequence", "timestamp_ns", "position")
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    TIMESTAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    sequence: int
+    timestamp_ns: int
+    position: Vector3
+    def __init__(self, sequence: _Optional[int] = ..., timestamp_ns: _Optional[int] = ..., position: _Optional[_Union[Vector3, _Mapping]] = ...) -> None: ...
+
+class ScaleMeasurement(_message.Message):
+    __slots__ = ("metres_per_unit", "map_distance", "places", "residuals", "rms_m", "n_used", "pose_reference_from_map", "submap_id")
+    METRES_PER_UNIT_FIELD_NUMBER: _ClassVar[int]
+    MAP_DISTANCE_FIELD_NUMBER: _ClassVar[int]
+    PLACES_FIELD_NUMBER: _ClassVar[int]
+    RESIDUALS_FIELD_NUMBER: _ClassVar[int]
+    RMS_M_FIELD_NUMBER: _ClassVar[int]
+    N_USED_FIELD_NUMBER: _ClassVar[int]
+    POSE_REFERENCE_FROM_MAP_FIELD_NUMBER: _ClassVar[int]
+    SUBMAP_ID_FIELD_NUMBER: _ClassVar[int]
+    metres_per_unit: float
+    map_distance: float
+    places: _containers.RepeatedScalarFieldContainer[str]
+    residuals: _containers.RepeatedCompositeFieldContainer[ScaleResidual]
+    rms_m: float
+    n_used: int
+    pose_reference_from_map: Pose
+    submap_id: int
+    def __init__(self, metres_per_unit: _Optional[float] = ..., map_distance: _Optional[float] = ..., places: _Optional[_Iterable[str]] = ..., residuals: _Optional[_Iterable[_Union[ScaleResidual, _Mapping]]] = ..., rms_m: _Optional[float] = ..., n_used: _Optional[int] = ..., pose_reference_from_map: _Optional[_Union[Pose, _Mapping]] = ..., submap_id: _Optional[int] = ...) -> None: ...
+
+class ScaleResidual(_message.Message):
+    __slots__ = ("error_m", "used", "reason")
+    ERROR_M_FIELD_NUMBER: _ClassVar[int]
+    USED_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    error_m: float
+    used: bool
+    reason: str
+    def __init__(self, error_m: _Optional[float] = ..., used: bool = ..., reason: _Optional[str] = ...) -> None: ...
 
 class LocalizeRequest(_message.Message):
-    __slots__ = ("session_id", "image")
+    __slots__ = ("session_id", "image", "camera", "fov_deg", "unknown_camera", "session_ids", "all_sessions", "near", "radius")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     IMAGE_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    FOV_DEG_FIELD_NUMBER: _ClassVar[int]
+    UNKNOWN_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    SESSION_IDS_FIELD_NUMBER: _ClassVar[int]
+    ALL_SESSIONS_FIELD_NUMBER: _ClassVar[int]
+    NEAR_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     image: Image
-    def __init__(self, session_id: _Optional[str] = ..., image: _Optional[_Union[Image, _Mapping]] = ...) -> None: ...
+    camera: Camera
+    fov_deg: float
+    unknown_camera: bool
+    session_ids: _containers.RepeatedScalarFieldContainer[str]
+    all_sessions: bool
+    near: Vector3
+    radius: float
+    def __init__(self, session_id: _Optional[str] = ..., image: _Optional[_Union[Image, _Mapping]] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., fov_deg: _Optional[float] = ..., unknown_camera: bool = ..., session_ids: _Optional[_Iterable[str]] = ..., all_sessions: bool = ..., near: _Optional[_Union[Vector3, _Mapping]] = ..., radius: _Optional[float] = ...) -> None: ...
 
 class LocalizeResponse(_message.Message):
-    __slots__ = ("state", "reason", "pose_world_from_camera", "scale", "submap_id", "n_inlier_points", "n_inlier_lines", "n_keypoints", "durable_sequence", "load_ms", "locate_ms")
+    __slots__ = ("state", "reason", "pose_world_from_camera", "scale", "submap_id", "n_inlier_points", "n_inlier_lines", "n_keypoints", "durable_sequence", "load_ms", "locate_ms", "session_id", "covariance", "camera", "n_sessions_searched", "n_sessions_tried")
     STATE_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     POSE_WORLD_FROM_CAMERA_FIELD_NUMBER: _ClassVar[int]
@@ -270,6 +400,11 @@ class LocalizeResponse(_message.Message):
     DURABLE_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     LOAD_MS_FIELD_NUMBER: _ClassVar[int]
     LOCATE_MS_FIELD_NUMBER: _ClassVar[int]
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    N_SESSIONS_SEARCHED_FIELD_NUMBER: _ClassVar[int]
+    N_SESSIONS_TRIED_FIELD_NUMBER: _ClassVar[int]
     state: TrackingState
     reason: str
     pose_world_from_camera: Pose
@@ -281,7 +416,12 @@ class LocalizeResponse(_message.Message):
     durable_sequence: int
     load_ms: float
     locate_ms: float
-    def __init__(self, state: _Optional[_Union[TrackingState, str]] = ..., reason: _Optional[str] = ..., pose_world_from_camera: _Optional[_Union[Pose, _Mapping]] = ..., scale: _Optional[_Union[ScaleKind, str]] = ..., submap_id: _Optional[int] = ..., n_inlier_points: _Optional[int] = ..., n_inlier_lines: _Optional[int] = ..., n_keypoints: _Optional[int] = ..., durable_sequence: _Optional[int] = ..., load_ms: _Optional[float] = ..., locate_ms: _Optional[float] = ...) -> None: ...
+    session_id: str
+    covariance: _containers.RepeatedScalarFieldContainer[float]
+    camera: Camera
+    n_sessions_searched: int
+    n_sessions_tried: int
+    def __init__(self, state: _Optional[_Union[TrackingState, str]] = ..., reason: _Optional[str] = ..., pose_world_from_camera: _Optional[_Union[Pose, _Mapping]] = ..., scale: _Optional[_Union[ScaleKind, str]] = ..., submap_id: _Optional[int] = ..., n_inlier_points: _Optional[int] = ..., n_inlier_lines: _Optional[int] = ..., n_keypoints: _Optional[int] = ..., durable_sequence: _Optional[int] = ..., load_ms: _Optional[float] = ..., locate_ms: _Optional[float] = ..., session_id: _Optional[str] = ..., covariance: _Optional[_Iterable[float]] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., n_sessions_searched: _Optional[int] = ..., n_sessions_tried: _Optional[int] = ...) -> None: ...
 
 class OptimizeMapRequest(_message.Message):
     __slots__ = ("session_id",)
@@ -289,9 +429,114 @@ class OptimizeMapRequest(_message.Message):
     session_id: str
     def __init__(self, session_id: _Optional[str] = ...) -> None: ...
 
-class OptimizeMapResponse(_message.Message):
-    __slots__ = ()
-    def __init__(self) -> None: ...
+class MergeSessionsRequest(_message.Message):
+    __slots__ = ("into",)
+    INTO_FIELD_NUMBER: _ClassVar[int]
+    FROM_FIELD_NUMBER: _ClassVar[int]
+    into: str
+    def __init__(self, into: _Optional[str] = ..., **kwargs) -> None: ...
+
+class GetOperationRequest(_message.Message):
+    __slots__ = ("operation_id",)
+    OPERATION_ID_FIELD_NUMBER: _ClassVar[int]
+    operation_id: str
+    def __init__(self, operation_id: _Optional[str] = ...) -> None: ...
+
+class ListOperationsRequest(_message.Message):
+    __slots__ = ("session_id",)
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    def __init__(self, session_id: _Optional[str] = ...) -> None: ...
+
+class ListOperationsResponse(_message.Message):
+    __slots__ = ("operations",)
+    OPERATIONS_FIELD_NUMBER: _ClassVar[int]
+    operations: _containers.RepeatedCompositeFieldContainer[Operation]
+    def __init__(self, operations: _Optional[_Iterable[_Union[Operation, _Mapping]]] = ...) -> None: ...
+
+class CancelOperationRequest(_message.Message):
+    __slots__ = ("operation_id",)
+    OPERATION_ID_FIELD_NUMBER: _ClassVar[int]
+    operation_id: str
+    def __init__(self, operation_id: _Optional[str] = ...) -> None: ...
+
+class Operation(_message.Message):
+    __slots__ = ("id", "kind", "session_id", "from_session_id", "state", "progress", "n_iterations", "message", "error_code", "created_at_ns", "ended_at_ns", "optimized", "merged")
+    ID_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    FROM_SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    PROGRESS_FIELD_NUMBER: _ClassVar[int]
+    N_ITERATIONS_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    ERROR_CODE_FIELD_NUMBER: _ClassVar[int]
+    CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    ENDED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    OPTIMIZED_FIELD_NUMBER: _ClassVar[int]
+    MERGED_FIELD_NUMBER: _ClassVar[int]
+    id: str
+    kind: OperationKind
+    session_id: str
+    from_session_id: str
+    state: OperationState
+    progress: float
+    n_iterations: int
+    message: str
+    error_code: str
+    created_at_ns: int
+    ended_at_ns: int
+    optimized: OptimizeResult
+    merged: MergeResult
+    def __init__(self, id: _Optional[str] = ..., kind: _Optional[_Union[OperationKind, str]] = ..., session_id: _Optional[str] = ..., from_session_id: _Optional[str] = ..., state: _Optional[_Union[OperationState, str]] = ..., progress: _Optional[float] = ..., n_iterations: _Optional[int] = ..., message: _Optional[str] = ..., error_code: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., ended_at_ns: _Optional[int] = ..., optimized: _Optional[_Union[OptimizeResult, _Mapping]] = ..., merged: _Optional[_Union[MergeResult, _Mapping]] = ...) -> None: ...
+
+class OptimizeResult(_message.Message):
+    __slots__ = ("cost_before", "cost_after", "n_keyframes", "n_points", "n_lines")
+    COST_BEFORE_FIELD_NUMBER: _ClassVar[int]
+    COST_AFTER_FIELD_NUMBER: _ClassVar[int]
+    N_KEYFRAMES_FIELD_NUMBER: _ClassVar[int]
+    N_POINTS_FIELD_NUMBER: _ClassVar[int]
+    N_LINES_FIELD_NUMBER: _ClassVar[int]
+    cost_before: float
+    cost_after: float
+    n_keyframes: int
+    n_points: int
+    n_lines: int
+    def __init__(self, cost_before: _Optional[float] = ..., cost_after: _Optional[float] = ..., n_keyframes: _Optional[int] = ..., n_points: _Optional[int] = ..., n_lines: _Optional[int] = ...) -> None: ...
+
+class MergeResult(_message.Message):
+    __slots__ = ("found", "places", "n_keyframes", "n_frames", "sequence_shift", "timestamp_shift_ns", "n_loops", "cost_before", "cost_after")
+    FOUND_FIELD_NUMBER: _ClassVar[int]
+    PLACES_FIELD_NUMBER: _ClassVar[int]
+    N_KEYFRAMES_FIELD_NUMBER: _ClassVar[int]
+    N_FRAMES_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_SHIFT_FIELD_NUMBER: _ClassVar[int]
+    TIMESTAMP_SHIFT_NS_FIELD_NUMBER: _ClassVar[int]
+    N_LOOPS_FIELD_NUMBER: _ClassVar[int]
+    COST_BEFORE_FIELD_NUMBER: _ClassVar[int]
+    COST_AFTER_FIELD_NUMBER: _ClassVar[int]
+    found: bool
+    places: _containers.RepeatedCompositeFieldContainer[MergedPlace]
+    n_keyframes: int
+    n_frames: int
+    sequence_shift: int
+    timestamp_shift_ns: int
+    n_loops: int
+    cost_before: float
+    cost_after: float
+    def __init__(self, found: bool = ..., places: _Optional[_Iterable[_Union[MergedPlace, _Mapping]]] = ..., n_keyframes: _Optional[int] = ..., n_frames: _Optional[int] = ..., sequence_shift: _Optional[int] = ..., timestamp_shift_ns: _Optional[int] = ..., n_loops: _Optional[int] = ..., cost_before: _Optional[float] = ..., cost_after: _Optional[float] = ...) -> None: ...
+
+class MergedPlace(_message.Message):
+    __slots__ = ("from_keyframe", "into_keyframe", "n_matches", "scale")
+    FROM_KEYFRAME_FIELD_NUMBER: _ClassVar[int]
+    INTO_KEYFRAME_FIELD_NUMBER: _ClassVar[int]
+    N_MATCHES_FIELD_NUMBER: _ClassVar[int]
+    SCALE_FIELD_NUMBER: _ClassVar[int]
+    from_keyframe: int
+    into_keyframe: int
+    n_matches: int
+    scale: float
+    def __init__(self, from_keyframe: _Optional[int] = ..., into_keyframe: _Optional[int] = ..., n_matches: _Optional[int] = ..., scale: _Optional[float] = ...) -> None: ...
 
 class WatchMapRequest(_message.Message):
     __slots__ = ("session_id",)
@@ -722,26 +967,30 @@ class Primitive(_message.Message):
     def __init__(self, id: _Optional[int] = ..., submap_id: _Optional[int] = ..., direction: _Optional[_Union[Vector3, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., std_deg: _Optional[float] = ..., n_keyframes: _Optional[int] = ..., n_lines: _Optional[int] = ...) -> None: ...
 
 class GetTrajectoryRequest(_message.Message):
-    __slots__ = ("session_id", "kind", "submap_id", "from_timestamp_ns", "to_timestamp_ns")
+    __slots__ = ("session_id", "kind", "submap_id", "from_timestamp_ns", "to_timestamp_ns", "submaps")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
     SUBMAP_ID_FIELD_NUMBER: _ClassVar[int]
     FROM_TIMESTAMP_NS_FIELD_NUMBER: _ClassVar[int]
     TO_TIMESTAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SUBMAPS_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     kind: TrajectoryKind
     submap_id: int
     from_timestamp_ns: int
     to_timestamp_ns: int
-    def __init__(self, session_id: _Optional[str] = ..., kind: _Optional[_Union[TrajectoryKind, str]] = ..., submap_id: _Optional[int] = ..., from_timestamp_ns: _Optional[int] = ..., to_timestamp_ns: _Optional[int] = ...) -> None: ...
+    submaps: SubmapSelection
+    def __init__(self, session_id: _Optional[str] = ..., kind: _Optional[_Union[TrajectoryKind, str]] = ..., submap_id: _Optional[int] = ..., from_timestamp_ns: _Optional[int] = ..., to_timestamp_ns: _Optional[int] = ..., submaps: _Optional[_Union[SubmapSelection, str]] = ...) -> None: ...
 
 class GetTrajectoryResponse(_message.Message):
-    __slots__ = ("scale", "poses")
+    __slots__ = ("scale", "poses", "n_poses_left_out")
     SCALE_FIELD_NUMBER: _ClassVar[int]
     POSES_FIELD_NUMBER: _ClassVar[int]
+    N_POSES_LEFT_OUT_FIELD_NUMBER: _ClassVar[int]
     scale: ScaleKind
     poses: _containers.RepeatedCompositeFieldContainer[TrajectoryPose]
-    def __init__(self, scale: _Optional[_Union[ScaleKind, str]] = ..., poses: _Optional[_Iterable[_Union[TrajectoryPose, _Mapping]]] = ...) -> None: ...
+    n_poses_left_out: int
+    def __init__(self, scale: _Optional[_Union[ScaleKind, str]] = ..., poses: _Optional[_Iterable[_Union[TrajectoryPose, _Mapping]]] = ..., n_poses_left_out: _Optional[int] = ...) -> None: ...
 
 class TrajectoryPose(_message.Message):
     __slots__ = ("sequence", "timestamp_ns", "state", "submap_id", "backfilled", "pose_world_from_camera")

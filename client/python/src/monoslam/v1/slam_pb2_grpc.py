@@ -72,7 +72,27 @@ class SlamServiceStub(object):
         self.OptimizeMap = channel.unary_unary(
                 '/monoslam.v1.SlamService/OptimizeMap',
                 request_serializer=monoslam_dot_v1_dot_slam__pb2.OptimizeMapRequest.SerializeToString,
-                response_deserializer=monoslam_dot_v1_dot_slam__pb2.OptimizeMapResponse.FromString,
+                response_deserializer=monoslam_dot_v1_dot_slam__pb2.Operation.FromString,
+                _registered_method=True)
+        self.MergeSessions = channel.unary_unary(
+                '/monoslam.v1.SlamService/MergeSessions',
+                request_serializer=monoslam_dot_v1_dot_slam__pb2.MergeSessionsRequest.SerializeToString,
+                response_deserializer=monoslam_dot_v1_dot_slam__pb2.Operation.FromString,
+                _registered_method=True)
+        self.GetOperation = channel.unary_unary(
+                '/monoslam.v1.SlamService/GetOperation',
+                request_serializer=monoslam_dot_v1_dot_slam__pb2.GetOperationRequest.SerializeToString,
+                response_deserializer=monoslam_dot_v1_dot_slam__pb2.Operation.FromString,
+                _registered_method=True)
+        self.ListOperations = channel.unary_unary(
+                '/monoslam.v1.SlamService/ListOperations',
+                request_serializer=monoslam_dot_v1_dot_slam__pb2.ListOperationsRequest.SerializeToString,
+                response_deserializer=monoslam_dot_v1_dot_slam__pb2.ListOperationsResponse.FromString,
+                _registered_method=True)
+        self.CancelOperation = channel.unary_unary(
+                '/monoslam.v1.SlamService/CancelOperation',
+                request_serializer=monoslam_dot_v1_dot_slam__pb2.CancelOperationRequest.SerializeToString,
+                response_deserializer=monoslam_dot_v1_dot_slam__pb2.Operation.FromString,
                 _registered_method=True)
         self.WatchMap = channel.unary_stream(
                 '/monoslam.v1.SlamService/WatchMap',
@@ -155,14 +175,14 @@ class SlamServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def SetScale(self, request, context):
-        """Says how many metres a map unit is, or frees the scale.
+        """Says how many metres a map unit is, directly or by a known distance or positions; or frees the scale.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Localize(self, request, context):
-        """Locates one image in a stored session's map, as of its last commit, without changing anything; also while a writer
+        """Locates one image in stored sessions' maps, as of their last commits, without changing anything; also while a writer
         is connected. A place that is not found is an answer, not an error.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -170,7 +190,39 @@ class SlamServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def OptimizeMap(self, request, context):
-        """Global bundle adjustment of an idle session. Not in this version: answers UNIMPLEMENTED.
+        """Begins global bundle adjustment of an idle session's map. Answers at once with the operation, which goes on when the
+        client leaves; its result is saved as a whole or not at all. Fails with FAILED_PRECONDITION while a writer is
+        connected or another operation works on the session, and with RESOURCE_EXHAUSTED where too many wait.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def MergeSessions(self, request, context):
+        """Begins to join two idle sessions of the same camera where their maps show the same place: what is in `from` becomes part
+        of `into`, and `from` stays as it is. Nothing is changed if no such place is found. As OptimizeMap otherwise.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def GetOperation(self, request, context):
+        """Operations are known until the server restarts, or some hundred later ones have ended. One that a restart cut short has
+        changed nothing, and is not found afterwards.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ListOperations(self, request, context):
+        """Operations on the caller's sessions, the newest first.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def CancelOperation(self, request, context):
+        """Asks an operation to end without a result. One that has ended stays as it is.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -275,7 +327,27 @@ def add_SlamServiceServicer_to_server(servicer, server):
             'OptimizeMap': grpc.unary_unary_rpc_method_handler(
                     servicer.OptimizeMap,
                     request_deserializer=monoslam_dot_v1_dot_slam__pb2.OptimizeMapRequest.FromString,
-                    response_serializer=monoslam_dot_v1_dot_slam__pb2.OptimizeMapResponse.SerializeToString,
+                    response_serializer=monoslam_dot_v1_dot_slam__pb2.Operation.SerializeToString,
+            ),
+            'MergeSessions': grpc.unary_unary_rpc_method_handler(
+                    servicer.MergeSessions,
+                    request_deserializer=monoslam_dot_v1_dot_slam__pb2.MergeSessionsRequest.FromString,
+                    response_serializer=monoslam_dot_v1_dot_slam__pb2.Operation.SerializeToString,
+            ),
+            'GetOperation': grpc.unary_unary_rpc_method_handler(
+                    servicer.GetOperation,
+                    request_deserializer=monoslam_dot_v1_dot_slam__pb2.GetOperationRequest.FromString,
+                    response_serializer=monoslam_dot_v1_dot_slam__pb2.Operation.SerializeToString,
+            ),
+            'ListOperations': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListOperations,
+                    request_deserializer=monoslam_dot_v1_dot_slam__pb2.ListOperationsRequest.FromString,
+                    response_serializer=monoslam_dot_v1_dot_slam__pb2.ListOperationsResponse.SerializeToString,
+            ),
+            'CancelOperation': grpc.unary_unary_rpc_method_handler(
+                    servicer.CancelOperation,
+                    request_deserializer=monoslam_dot_v1_dot_slam__pb2.CancelOperationRequest.FromString,
+                    response_serializer=monoslam_dot_v1_dot_slam__pb2.Operation.SerializeToString,
             ),
             'WatchMap': grpc.unary_stream_rpc_method_handler(
                     servicer.WatchMap,
@@ -533,7 +605,115 @@ class SlamService(object):
             target,
             '/monoslam.v1.SlamService/OptimizeMap',
             monoslam_dot_v1_dot_slam__pb2.OptimizeMapRequest.SerializeToString,
-            monoslam_dot_v1_dot_slam__pb2.OptimizeMapResponse.FromString,
+            monoslam_dot_v1_dot_slam__pb2.Operation.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def MergeSessions(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/monoslam.v1.SlamService/MergeSessions',
+            monoslam_dot_v1_dot_slam__pb2.MergeSessionsRequest.SerializeToString,
+            monoslam_dot_v1_dot_slam__pb2.Operation.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def GetOperation(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/monoslam.v1.SlamService/GetOperation',
+            monoslam_dot_v1_dot_slam__pb2.GetOperationRequest.SerializeToString,
+            monoslam_dot_v1_dot_slam__pb2.Operation.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListOperations(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/monoslam.v1.SlamService/ListOperations',
+            monoslam_dot_v1_dot_slam__pb2.ListOperationsRequest.SerializeToString,
+            monoslam_dot_v1_dot_slam__pb2.ListOperationsResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def CancelOperation(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/monoslam.v1.SlamService/CancelOperation',
+            monoslam_dot_v1_dot_slam__pb2.CancelOperationRequest.SerializeToString,
+            monoslam_dot_v1_dot_slam__pb2.Operation.FromString,
             options,
             channel_credentials,
             insecure,
