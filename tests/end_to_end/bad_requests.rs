@@ -239,7 +239,7 @@ async fn locating_an_image_ends_in_time_and_the_next_one_has_its_turn() {
     create_session(&mut client, "s", camera(640, 480)).await.unwrap();
     for _ in 0..3 {
         let image = Some(png(640, 480, &vec![7; 640 * 480]));
-        let request = v1::LocalizeRequest { session_id: "s".into(), image };
+        let request = v1::LocalizeRequest { session_id: "s".into(), image, ..v1::LocalizeRequest::default() };
         let status = client.localize(request).await.unwrap_err();
         assert_eq!(status.code(), Code::DeadlineExceeded, "{status}");
         assert!(status.message().contains("localize_timeout_s"), "{status}");

@@ -112,6 +112,7 @@ pub async fn join(
 ) -> Result<Option<Joined>, ApiError> {
     let (stored, other) = (load::read(into).await?, load::read(from).await?);
     check_cameras(&stored, &other)?;
+    check_clocks(&stored, &other)?;
     let status = SessionStatus { state: stored.last_state };
     let frames: Vec<FrameEntry> = from.store.frames(from.id.as_str()).await?.try_collect().await?;
     let last_frame = stored.last_frame();
@@ -173,6 +174,15 @@ fn check_cameras(into: &StoredSession, from: &StoredSession) -> Result<(), ApiEr
         return Ok(());
     }
     let sentence = "the sessions are of different cameras or extractor settings; only maps of the same camera can be joined";
+    Err(ApiError::new(ErrorCode::CannotMerge, sentence))
+}
+
+/// Frames are shifted in time as a whole, which a clock that was set back does not allow.
+fn check_clocks(into: &StoredSession, from: &StoredSession) -> Result<(), ApiError> {
+    if into.ahead_ns == 0 && from.ahead_ns == 0 {
+        return Ok(());
+    }
+    let sentence = "one of the sessions has segments of clocks that differ; such maps cannot be joined";
     Err(ApiError::new(ErrorCode::CannotMerge, sentence))
 }
 
