@@ -24,6 +24,7 @@ mod error;
 pub mod grpc;
 mod ids;
 pub mod maps;
+mod memory;
 mod model;
 pub mod network;
 mod options;
