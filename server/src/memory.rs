@@ -2,8 +2,9 @@
 
 /// Gives pages that hold nothing any more back to the system.
 ///
-/// What a session frees lies between what others hold, and glibc's allocator keeps it unless it is asked, for a
-/// few milliseconds of work (figures: docs/operations.md, "Memory"). Elsewhere the allocator does as it likes.
+/// What a session frees lies between what others hold, and glibc's allocator keeps it unless it is asked, for
+/// a few milliseconds of work (figures: docs/operations.md, "Memory"). Elsewhere the allocator does as it
+/// likes.
 pub fn give_back() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {

@@ -1,5 +1,6 @@
-//! Faults of the machine: kills under load, a disk that is full, a folder that cannot be written. Nothing that was
-//! acknowledged is lost. Damaged pages, a deleted file and clocks that are set are in `tests/end_to_end`.
+//! Faults of the machine: kills under load, a disk that is full, a folder that cannot be written. Nothing
+//! that was acknowledged is lost. Damaged pages, a deleted file and clocks that are set are in
+//! `tests/end_to_end`.
 
 use crate::program::{ServerProcess, check, limit_files};
 use proto::v1;
@@ -123,7 +124,8 @@ async fn stream_gray(client: &mut Client, image: &v1::Image) -> (u64, Status) {
 #[ignore = "takes minutes: a disk is filled"]
 async fn a_disk_that_is_full_is_told_and_loses_nothing_that_was_promised() {
     let folder = tempfile::tempdir().unwrap();
-    // Files of more bytes than an empty database and some frames have cannot be written, whatever SQLite thinks.
+    // Files of more bytes than an empty database and some frames have cannot be written, whatever SQLite
+    // thinks.
     let server = ServerProcess::start_with(folder.path(), |command| limit_files(command, 2 << 20));
     let mut client = server.client().await;
     create_session(&mut client, "s", camera(160, 120)).await.unwrap();
