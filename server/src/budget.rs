@@ -8,8 +8,8 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 /// What is counted in, bytes: a small message takes as much as one of this size.
 const UNIT_BYTES: usize = 1024;
 
-/// How long a message waits for room: frames that are queued are tracked within that, so that a client is held
-/// back and not refused.
+/// How long a message waits for room: frames that are queued are tracked within that, so that a client is
+/// held back and not refused.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// When a client that was refused may try again.

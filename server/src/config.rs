@@ -44,8 +44,8 @@ pub struct Config {
     pub quotas: QuotaConfig,
     /// How the log is written.
     pub log: LogFormat,
-    /// What is in the log, in the words of `RUST_LOG`, such as `warn,audit=info`. That variable goes before it.
-    /// Default `info`.
+    /// What is in the log, in the words of `RUST_LOG`, such as `warn,audit=info`. That variable goes before
+    /// it. Default `info`.
     pub log_filter: Option<String>,
 }
 
@@ -55,9 +55,9 @@ pub struct Config {
 pub struct Limits {
     /// Largest gRPC message, bytes. Default 64 MiB: the largest raw color image with room to spare.
     pub max_message_bytes: usize,
-    /// Bytes of messages that are begun and not finished, or wait to be worked off, of all clients together; who
-    /// brings more waits, and is refused after five seconds. Default 256 MiB, four of the largest messages. Over
-    /// a WebSocket only complete messages count.
+    /// Bytes of messages that are begun and not finished, or wait to be worked off, of all clients together;
+    /// who brings more waits, and is refused after five seconds. Default 256 MiB, four of the largest
+    /// messages. Over a WebSocket only complete messages count.
     pub max_bytes_in_flight: usize,
     /// Largest image, pixels. Default 4096 * 3072. Checked before an image is decoded.
     pub max_image_pixels: u64,
@@ -106,15 +106,15 @@ pub struct SessionConfig {
     #[serde(alias = "n_localisations")]
     pub n_localizations: usize,
     /// How far a frame's sequence may be beyond the one that is expected; one further is refused. Default
-    /// 1 000 000 000: a year at 30 frames a second. What is more is no count of frames, and a few such leaps would
-    /// leave no numbers.
+    /// 1_000_000_000: a year at 30 frames a second. What is more is no count of frames, and a few such leaps
+    /// would leave no numbers.
     pub max_sequence_leap: u64,
-    /// Seconds a frame's time may be after that of the one before; one later is refused, unless it begins a new
-    /// segment. Default 31 622 400, a leap year: what is more comes from a clock that was set, and would keep the
-    /// session from going on once that is set right.
+    /// Seconds a frame's time may be after that of the one before; one later is refused, unless it begins a
+    /// new segment. Default 31 622 400, a leap year: what is more comes from a clock that was set, and would
+    /// keep the session from going on once that is set right.
     pub max_time_leap_s: f64,
-    /// Seconds that are spent on locating a single image, its turn not counted. Default 10: a large map is read and
-    /// searched in two.
+    /// Seconds that are spent on locating a single image, its turn not counted. Default 10: a large map is
+    /// read and searched in two.
     pub localize_timeout_s: f64,
     /// Seconds after which a stream that sends nothing gives up its session's place in memory when another
     /// session needs one. Default 30: a camera that sends less than a frame in half a minute maps nothing.

@@ -40,8 +40,8 @@ impl Current {
         self.0.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Takes over what differs between the configuration as it was read `before` and as it is read now, as far
-    /// as that can change.
+    /// Takes over what differs between the configuration as it was read `before` and as it is read now, as
+    /// far as that can change.
     ///
     /// # Errors
     /// Never, unless a field cannot be written as it was read.
@@ -72,7 +72,7 @@ impl Current {
 fn is_changeable(name: &str) -> bool {
     let is_within =
         |table: &&str| name == *table || name.strip_prefix(*table).is_some_and(|rest| rest.starts_with('.'));
-    CHANGEABLE.iter().any(|table| is_within(&table)) && !FIXED.contains(&name)
+    CHANGEABLE.iter().any(|table| is_within(table)) && !FIXED.contains(&name)
 }
 
 /// The value of each field by its name with those of the tables around it.

@@ -62,8 +62,8 @@ impl DataLock {
     }
 }
 
-/// Gives a file that was made by hand, as by the administrator, to whom its folder belongs, so that the server
-/// can use it. Who may not give it away owns it.
+/// Gives a file that was made by hand, as by the administrator, to whom its folder belongs, so that the
+/// server can use it. Who may not give it away owns it.
 pub fn give_to_owner_of(folder: &Path, file: &Path) {
     #[cfg(unix)]
     {

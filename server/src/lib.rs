@@ -25,6 +25,7 @@ pub mod grpc;
 mod ids;
 pub mod localization;
 pub mod maps;
+mod memory;
 mod model;
 pub mod network;
 pub mod operations;

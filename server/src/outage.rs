@@ -1,4 +1,5 @@
-//! The log of something that is looked at again and again: a change is told once, and what lasts once a minute.
+//! The log of something that is looked at again and again: a change is told once, and what lasts once a
+//! minute.
 
 use std::fmt::Display;
 use std::time::{Duration, Instant};

@@ -123,8 +123,8 @@ impl Running {
         &self.store
     }
 
-    /// Takes over what differs between the configuration as it was read before and as it is read now, as far as
-    /// that can change while the server runs, and logs what does and what does not.
+    /// Takes over what differs between the configuration as it was read before and as it is read now, as far
+    /// as that can change while the server runs, and logs what does and what does not.
     pub fn reconfigure(&self, before: &Config, now: &Config) {
         let changes = match self.service.reconfigure(before, now) {
             Ok(changes) => changes,

@@ -114,8 +114,8 @@ impl Service {
         self.config.get()
     }
 
-    /// Takes over what differs between the configuration as it was read before and as it is read now, as far as
-    /// that can change while the server runs.
+    /// Takes over what differs between the configuration as it was read before and as it is read now, as far
+    /// as that can change while the server runs.
     ///
     /// # Errors
     /// As [`Current::change`].

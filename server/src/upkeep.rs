@@ -162,8 +162,8 @@ async fn copy_whole(from: &Path, into: &Path) -> anyhow::Result<()> {
     Ok(tokio::task::spawn_blocking(copy).await??)
 }
 
-/// Gives a database, if there is one, a name beside its own. Its log goes first: were it left behind, it would
-/// be taken for that of the next.
+/// Gives a database, if there is one, a name beside its own. Its log goes first: were it left behind, it
+/// would be taken for that of the next.
 fn set_aside(database: &Path) -> anyhow::Result<Option<PathBuf>> {
     if !database.exists() {
         return Ok(None);

@@ -6,7 +6,8 @@ use crate::{Finding, Store, StoreError};
 use sqlx::{Connection, Row, SqliteConnection};
 use std::path::{Path, PathBuf};
 
-/// Steps of SQLite's machine, or pages, after which a look at the file asks whether to go on: some milliseconds.
+/// Steps of SQLite's machine, or pages, after which a look at the file asks whether to go on: some
+/// milliseconds.
 const STEPS_BETWEEN_LOOKS: i32 = 1000;
 
 /// What was found in a database that was only read.

@@ -1,7 +1,7 @@
 //! Segments of a session: parts whose frames have times of one clock.
 //!
-//! Stored times are the client's. The engine's only go on, also where a client's clock was set back: a segment
-//! says by how much they are ahead.
+//! Stored times are the client's. The engine's only go on, also where a client's clock was set back: a
+//! segment says by how much they are ahead.
 
 use crate::number::{from_column, to_column};
 use crate::session::session_number;
@@ -41,8 +41,8 @@ impl Segments {
 }
 
 impl Store {
-    /// Begins a segment with a frame that is not stored yet: from there on the engine's times are ahead of the
-    /// client's by so much.
+    /// Begins a segment with a frame that is not stored yet: from there on the engine's times are ahead of
+    /// the client's by so much.
     ///
     /// # Errors
     /// [`StoreError::SessionNotFound`], or if it cannot be stored.

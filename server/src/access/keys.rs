@@ -73,8 +73,8 @@ impl Keys {
         Ok(keys)
     }
 
-    /// What tokens may use that were made without numbers of their own. Holds for those that are in use as well:
-    /// what they have used so far counts.
+    /// What tokens may use that were made without numbers of their own. Holds for those that are in use as
+    /// well: what they have used so far counts.
     pub fn set_quotas(&self, quotas: &QuotaConfig) {
         quotas.clone_into(&mut self.quotas.write().unwrap_or_else(PoisonError::into_inner));
         for key in self.write().by_hash.values_mut() {

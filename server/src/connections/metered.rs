@@ -1,7 +1,8 @@
 //! Bodies of requests whose bytes are counted against the budget for messages.
 //!
 //! A message is charged with its whole length as soon as that is known, before memory is made for it, so that
-//! one that is let in can be finished. Messages that are begun and not finished are as costly as finished ones.
+//! one that is let in can be finished. Messages that are begun and not finished are as costly as finished
+//! ones.
 
 use crate::budget::{Budget, Charge, Charges};
 use crate::error::ApiError;
@@ -74,8 +75,8 @@ impl<B> Messages<B> {
         self.n_lacking > 0 || !self.head.is_empty()
     }
 
-    /// The next part of what is parked, up to the end of the head or message it belongs to; nothing of a message
-    /// before there is room for it, but all of the one before.
+    /// The next part of what is parked, up to the end of the head or message it belongs to; nothing of a
+    /// message before there is room for it, but all of the one before.
     fn next_part(&mut self, cx: &mut Context<'_>) -> Poll<Result<Option<Bytes>, ApiError>> {
         if let Some(taking) = &mut self.taking {
             let charge = ready!(taking.as_mut().poll(cx));
@@ -109,8 +110,8 @@ impl<B> Messages<B> {
         Bytes::from(std::mem::replace(&mut self.head, Vec::with_capacity(HEAD_BYTES)))
     }
 
-    /// Whether a message stands still for too long. Counted from when it is waited for: while others are worked
-    /// off nobody asks for more of it.
+    /// Whether a message stands still for too long. Counted from when it is waited for: while others are
+    /// worked off nobody asks for more of it.
     fn poll_patience(&mut self, cx: &mut Context<'_>) -> Poll<()> {
         if !self.is_within_message() {
             return Poll::Pending;

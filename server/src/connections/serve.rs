@@ -204,7 +204,8 @@ impl Connection {
         let is_patient = self.patient_paths.contains(&request.uri().path());
         let timeout = span(self.place.limits().body_timeout_s);
         let charges = Charges::default();
-        // Whoever works off messages one by one gives their room back; the rest is kept until the answer begins.
+        // Whoever works off messages one by one gives their room back; the rest is kept until the answer
+        // begins.
         request.extensions_mut().insert(charges.clone());
         let kept = (!is_patient).then(|| charges.clone());
         let (meter, interface, closing) = (self.meter.clone(), self.interface, self.closing.clone());

@@ -78,8 +78,8 @@ pub struct Session {
     pub loaded: bool,
     /// Whether a writer is connected.
     pub has_writer: bool,
-    /// What of it is damaged, so that it cannot be streamed into: restore a backup or delete it. `null` if nothing
-    /// is known to be.
+    /// What of it is damaged, so that it cannot be streamed into: restore a backup or delete it. `null` if
+    /// nothing is known to be.
     pub damage: Option<String>,
 }
 

@@ -13,8 +13,8 @@ pub(super) async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// Whether requests are taken: the database answers, what is saved lasts, and the server is not about to stop. Further
-/// lines say whether the database is being looked at for damage, and what was found.
+/// Whether requests are taken: the database answers, what is saved lasts, and the server is not about to
+/// stop. Further lines say whether the database is being looked at for damage, and what was found.
 #[utoipa::path(get, path = "/readyz", tag = "system", responses(
     (status = 200, description = "They are", body = String),
     (status = 503, description = "They are not", body = ProblemDetails, content_type = "application/problem+json")

@@ -1,7 +1,7 @@
 //! Frames whose number or time cannot be meant, and times after a clock was set.
 //!
-//! A number or time far ahead would be the last one that a session takes. The engine's times only go on; where
-//! a client begins a new segment, they go on behind the last ones, whatever its clock says.
+//! A number or time far ahead would be the last one that a session takes. The engine's times only go on;
+//! where a client begins a new segment, they go on behind the last ones, whatever its clock says.
 
 use super::decoder::{NEW_SEGMENT, rejection_of};
 use super::frame::Rejection;

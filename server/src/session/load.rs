@@ -112,8 +112,8 @@ pub struct History {
 }
 
 impl History {
-    /// Begins a segment with a frame that is new: from there on the engine's times are ahead of the client's by
-    /// so much.
+    /// Begins a segment with a frame that is new: from there on the engine's times are ahead of the client's
+    /// by so much.
     ///
     /// # Errors
     /// If it cannot be stored.

@@ -406,6 +406,7 @@ async fn spawn(beginning: Beginning) -> Result<(), ApiError> {
         if let Err(error) = runtime.block_on(saving) {
             tracing::error!(error = %error, "a session's writer failed: {error}");
         }
+        crate::memory::give_back();
         events.unloaded();
     };
     thread.spawn(run).map_err(ApiError::internal)?;

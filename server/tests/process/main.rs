@@ -2,6 +2,7 @@
 
 mod backup;
 mod crash;
+mod faults;
 mod memory;
 mod program;
 mod reload;

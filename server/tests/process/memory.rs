@@ -23,8 +23,8 @@ const OTHER_BYTES: u64 = 64 << 20;
 
 type Sending = mpsc::Sender<Result<Frame<Bytes>, std::io::Error>>;
 
-/// Begins a message of a stream on a connection of its own, in the raw. How its call ended, once it has, in the
-/// words of the server.
+/// Begins a message of a stream on a connection of its own, in the raw. How its call ended, once it has, in
+/// the words of the server.
 async fn begin(grpc_addr: SocketAddr) -> (Sending, tokio::task::JoinHandle<String>) {
     let socket = tokio::net::TcpStream::connect(grpc_addr).await.unwrap();
     let io = TokioIo::new(socket);

@@ -81,6 +81,22 @@ fn addresses_in(line: &str) -> Option<(SocketAddr, SocketAddr)> {
     Some((grpc.parse().ok()?, rest.split_whitespace().next()?.parse().ok()?))
 }
 
+/// Ends what a server writes to a file at so many bytes, as a disk that is full does.
+pub fn limit_files(command: &mut Command, n_bytes: u64) {
+    use std::os::unix::process::CommandExt;
+    let limit = move || {
+        let limit = libc::rlimit { rlim_cur: n_bytes, rlim_max: n_bytes };
+        // SAFETY: both calls are safe between fork and exec. Without the signal writing fails instead.
+        let set = unsafe {
+            libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
+            libc::setrlimit(libc::RLIMIT_FSIZE, &limit)
+        };
+        if set == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
+    };
+    // SAFETY: the closure allocates nothing and takes no lock.
+    unsafe { command.pre_exec(limit) };
+}
+
 /// Runs the program with these arguments.
 pub fn run<A: AsRef<std::ffi::OsStr>>(arguments: &[A]) -> Output {
     Command::new(SERVER).args(arguments).output().expect("the program runs")
