@@ -8,6 +8,7 @@ mod id;
 mod images;
 mod journal;
 mod load;
+mod occupancy;
 mod queue;
 mod recent;
 mod registry;
