@@ -421,3 +421,46 @@ async fn scale_and_options_are_changed_and_lengths_follow() {
     assert_eq!(patch(json!({"lines": true})).await.status(), 409);
     stream.finish().await.unwrap();
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_known_already_is_not_sent_again_and_the_rest_is_compressed() {
+    let (server, mut client) = mapped_room().await;
+    let http = reqwest::Client::new();
+    let get = async |path: &str, header: (&str, &str)| {
+        let url = format!("http://{}/v1/sessions/room/{path}", server.running().http_addr);
+        http.get(url).header(header.0, header.1).send().await.unwrap()
+    };
+    for path in ["keyframes", "points?page_size=5", "map?format=ply", "trajectory", "graph"] {
+        let first = get(path, ("accept", "*/*")).await;
+        let tag = first.headers()["etag"].to_str().unwrap().to_owned();
+        let again = get(path, ("if-none-match", &tag)).await;
+        assert_eq!(
+            (again.status().as_u16(), again.headers()["etag"].to_str().unwrap()),
+            (304, &tag[..]),
+            "{path}"
+        );
+        assert!(again.bytes().await.unwrap().is_empty(), "{path}");
+        assert_eq!(get(path, ("if-none-match", "\"other\"")).await.status(), 200, "{path}");
+        let packed = get(path, ("accept-encoding", "gzip")).await;
+        assert_eq!(packed.headers()["content-encoding"], "gzip", "{path}");
+        let (packed, plain) = (packed.bytes().await.unwrap(), first.bytes().await.unwrap());
+        assert!(packed.len() < plain.len() && packed[..2] == [0x1f, 0x8b], "{path}");
+    }
+    let tag = get("keyframes", ("accept", "*/*")).await.headers()["etag"].clone();
+    let scale =
+        v1::SetScaleRequest { session_id: "room".into(), metres_per_unit: Some(2.0), reference: None };
+    client.set_scale(scale).await.unwrap();
+    let scaled = get("keyframes", ("if-none-match", tag.to_str().unwrap())).await;
+    assert_eq!(scaled.status(), 200, "lengths mean something else now");
+
+    // Over gRPC by who asks for it, both ways.
+    for encoding in [tonic::codec::CompressionEncoding::Gzip, tonic::codec::CompressionEncoding::Zstd] {
+        let mut packing = server.client().await.accept_compressed(encoding).send_compressed(encoding);
+        let request = v1::QueryPointsRequest { session_id: "room".into(), ..Default::default() };
+        let answer = packing.query_points(request).await.unwrap();
+        let used = answer.metadata().get("grpc-encoding").and_then(|value| value.to_str().ok());
+        let expected = if encoding == tonic::codec::CompressionEncoding::Gzip { "gzip" } else { "zstd" };
+        assert_eq!(used, Some(expected));
+        assert!(!answer.into_inner().message().await.unwrap().unwrap().points.is_empty());
+    }
+}

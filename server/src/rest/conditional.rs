@@ -15,6 +15,12 @@ const OF_MAP: [&str; 7] = ["graph", "keyframes", "lines", "map", "points", "prim
 /// Kept by the client alone, and asked for before it is used again.
 const REVALIDATE: HeaderValue = HeaderValue::from_static("private, no-cache");
 
+/// Whether what a path asks follows from a map alone.
+pub(super) fn is_of_map(path: &str) -> bool {
+    let behind = path.strip_prefix("/v1/sessions/").and_then(|path| path.split('/').nth(1));
+    behind.is_some_and(|what| OF_MAP.contains(&what))
+}
+
 /// Answers what is known already with `304`, and tags the rest.
 pub(super) async fn answer(State(app): State<App>, request: Request, next: Next) -> Response {
     // A request is not held while its tag is looked up: its body cannot be shared between threads.
@@ -33,13 +39,12 @@ pub(super) async fn answer(State(app): State<App>, request: Request, next: Next)
 
 /// The session whose map is asked, if it is.
 fn asked_map(request: &Request) -> Option<SessionId> {
-    if request.method() != Method::GET {
+    let path = request.uri().path();
+    if request.method() != Method::GET || !is_of_map(path) {
         return None;
     }
-    let mut segments = request.uri().path().strip_prefix("/v1/sessions/")?.split('/');
-    let (id, what) = (segments.next()?, segments.next()?);
-    let caller = request.extensions().get::<Caller>().filter(|_| OF_MAP.contains(&what))?;
-    caller.session(id, "id").ok()
+    let id = path.strip_prefix("/v1/sessions/")?.split('/').next()?;
+    request.extensions().get::<Caller>()?.session(id, "id").ok()
 }
 
 /// The tag of a map; taken before the map is read, so that an answer is at least as new.

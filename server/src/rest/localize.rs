@@ -177,8 +177,8 @@ pub(super) async fn localize(
     Ok(Json(app.service.localize(question).await?.into()))
 }
 
-/// Locates one image in whichever of several sessions' maps shows the place: those that look like it are found
-/// by descriptors, and the best few looked at closely. Otherwise as for one session.
+/// Locates one image in whichever of several sessions' maps shows the place: those that look like it are
+/// found by descriptors, and the best few looked at closely. Otherwise as for one session.
 #[utoipa::path(post, path = "/v1/localize", tag = "maps", params(ManyParams),
     request_body(content((Vec<u8> = "image/png"), (Vec<u8> = "image/jpeg"), (Vec<u8> = "image/bmp"),
         (Vec<u8> = "image/webp"), (Vec<u8> = "image/tiff"), (Vec<u8> = "image/x-portable-anymap"),

@@ -67,7 +67,7 @@ pub(super) struct Wanted {
 #[utoipa::path(get, path = "/v1/sessions/{id}/map", tag = "maps",
     params(("id", description = "The session's id"), Wanted), responses(
     (status = 200, description = "The map", content(
-        (String = "application/octet-stream"), (String = "text/plain"), (String = "application/json"))),
+        (String = "application/octet-stream"), (String = "text/plain"), (serde_json::Value = "application/json"))),
     (status = 400, description = "A parameter is wrong", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]

@@ -70,9 +70,9 @@ pub(super) struct Operation {
     merged: Option<MergeResult>,
 }
 
-/// Cost: half the sum of the squared errors of all sightings of points and lines, in standard deviations, each
-/// counted up to that of one that just agrees. The same sightings before and after. A map that would not agree
-/// better stays as it is.
+/// Cost: half the sum of the squared errors of all sightings of points and lines, in standard deviations,
+/// each counted up to that of one that just agrees. The same sightings before and after. A map that would not
+/// agree better stays as it is.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(super) struct OptimizeResult {
     /// Before.

@@ -73,7 +73,7 @@ pub(super) struct Wanted {
 #[utoipa::path(get, path = "/v1/sessions/{id}/trajectory", tag = "maps",
     params(("id", description = "The session's id"), Wanted), responses(
     (status = 200, description = "The trajectory", content(
-        (String = "text/plain"), (String = "text/csv"), (String = "application/json"))),
+        (String = "text/plain"), (String = "text/csv"), (JsonTrajectory = "application/json"))),
     (status = 400, description = "A parameter is wrong", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json")
 ))]
@@ -188,8 +188,19 @@ impl Format {
     }
 }
 
+/// The JSON format, which is written pose by pose.
+#[derive(ToSchema)]
+#[expect(dead_code, reason = "it is there to be described")]
+struct JsonTrajectory {
+    session_id: String,
+    /// What the poses are: `world_from_camera`.
+    transform: String,
+    scale: Scale,
+    poses: Vec<JsonPose>,
+}
+
 /// A pose in the JSON format.
-#[derive(Serialize)]
+#[derive(Serialize, ToSchema)]
 struct JsonPose {
     sequence: u64,
     timestamp_ns: i64,

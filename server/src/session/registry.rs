@@ -5,6 +5,7 @@ use super::gallery::ShownFrame;
 use super::journal::{Revision, Since};
 use super::leaps::Leaps;
 use super::load::{self, LoadContext, StoredSession};
+use super::occupancy::Occupancy;
 use super::queue::{FrameQueue, Policy};
 use super::slots::{self, Resident, Room, Slots};
 use super::view::{Live, LoadedView};
@@ -43,7 +44,7 @@ pub struct Registry {
     /// What lasts while a session comes and goes is who watches it.
     slots: Slots<SessionId, Loaded, Events>,
     /// Sessions that an operation works on. Whoever wants one of them is told instead of waiting for long.
-    occupied: Mutex<BTreeSet<SessionId>>,
+    occupied: Occupancy,
     /// Ends what watches sessions.
     closed: CancellationToken,
 }
@@ -76,7 +77,7 @@ impl Registry {
     /// A registry without sessions.
     pub fn new(config: Current, store: Store) -> Self {
         let slots = Slots::new(config.get().limits.max_loaded_sessions);
-        Self { config, store, slots, occupied: Mutex::default(), closed: CancellationToken::new() }
+        Self { config, store, slots, occupied: Occupancy::default(), closed: CancellationToken::new() }
     }
 
     /// Gives a client the session to write into, loading it if it is not in memory. Answers go to `replies`.
@@ -88,7 +89,7 @@ impl Registry {
         request: OpenRequest,
         replies: Replies,
     ) -> Result<Arc<FrameQueue>, ApiError> {
-        self.check_unoccupied(&request.id)?;
+        self.occupied.check(&request.id)?;
         let held = self.slots.hold(&request.id).await;
         let capacity = match request.policy {
             Policy::Lossless => self.config.get().sessions.lossless_queue_frames,
@@ -153,7 +154,7 @@ impl Registry {
         id: &SessionId,
         delete: impl Future<Output = Result<(), ApiError>>,
     ) -> Result<(), ApiError> {
-        self.check_unoccupied(id)?;
+        self.occupied.check(id)?;
         let held = self.slots.hold(id).await;
         unload(&held, id, "deleting the session").await?;
         delete.await?;
@@ -171,7 +172,7 @@ impl Registry {
         id: &SessionId,
         change: impl Future<Output = Result<T, ApiError>>,
     ) -> Result<T, ApiError> {
-        self.check_unoccupied(id)?;
+        self.occupied.check(id)?;
         let held = self.slots.hold(id).await;
         unload(&held, id, "changing its options").await?;
         let changed = change.await?;
@@ -191,7 +192,7 @@ impl Registry {
         work: impl FnOnce() -> Working,
     ) -> Result<T, ApiError> {
         self.check_open()?;
-        let _occupied = Occupied::of(&self.occupied, ids)?;
+        let _occupied = self.occupied.mark(ids)?;
         // In the order of the ids, so that two who want the same do not wait for each other.
         let mut all_held = Vec::with_capacity(ids.len());
         for id in ids {
@@ -212,10 +213,6 @@ impl Registry {
         Some(self.slots.known(id)?.journal().since(None).revision)
     }
 
-    fn check_unoccupied(&self, id: &SessionId) -> Result<(), ApiError> {
-        if lock(&self.occupied).contains(id) { Err(occupied(id)) } else { Ok(()) }
-    }
-
     /// Runs `store`, which stores a new scale, and tells the session if it is in memory.
     ///
     /// # Errors
@@ -226,7 +223,7 @@ impl Registry {
         metres_per_unit: Option<f64>,
         store: impl Future<Output = Result<T, ApiError>>,
     ) -> Result<T, ApiError> {
-        self.check_unoccupied(id)?;
+        self.occupied.check(id)?;
         // Whoever loads the session meanwhile would read the old scale.
         let held = self.slots.hold(id).await;
         let stored = store.await?;
@@ -313,39 +310,6 @@ impl Registry {
         spawn(Beginning { id: id.clone(), config, stored, persistence, saving, ends, stay }).await?;
         Ok(loaded)
     }
-}
-
-/// The mark that an operation works on sessions.
-struct Occupied<'a> {
-    all: &'a Mutex<BTreeSet<SessionId>>,
-    ids: BTreeSet<SessionId>,
-}
-
-impl<'a> Occupied<'a> {
-    fn of(all: &'a Mutex<BTreeSet<SessionId>>, ids: &BTreeSet<SessionId>) -> Result<Self, ApiError> {
-        let mut marked = lock(all);
-        if let Some(taken) = ids.iter().find(|id| marked.contains(*id)) {
-            return Err(occupied(taken));
-        }
-        marked.extend(ids.iter().cloned());
-        Ok(Self { all, ids: ids.clone() })
-    }
-}
-
-impl Drop for Occupied<'_> {
-    fn drop(&mut self) {
-        let mut marked = lock(self.all);
-        self.ids.iter().for_each(|id| {
-            marked.remove(id);
-        });
-    }
-}
-
-fn occupied(id: &SessionId) -> ApiError {
-    let sentence = format!(
-        "an operation works on session {id}; wait until it has ended, or cancel it (operations list)"
-    );
-    ApiError::new(ErrorCode::SessionBusy, sentence)
 }
 
 /// The ends of what ties the registry to a worker, and the worker's.
