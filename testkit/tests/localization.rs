@@ -1,5 +1,5 @@
-//! Single images of other cameras in the map of a recording (docs/operations.md, "Locating images"): the map is
-//! made of the first 600 frames of 7-Scenes RedKitchen, and later ones are looked for in it whole, halved,
+//! Single images of other cameras in the map of a recording (docs/operations.md, "Locating images"): the map
+//! is made of the first 600 frames of 7-Scenes RedKitchen, and later ones are looked for in it whole, halved,
 //! cropped, and with the focal length withheld; images of other places must not be found.
 
 use geometry::{Camera, CameraParameters, Pose, Similarity};
@@ -65,8 +65,8 @@ fn given(own: &CameraParameters, size: (u32, u32), shift: (f64, f64), factor: f6
 /// Shows an image otherwise than the map's camera does.
 type Shown = fn(&GrayImage, &CameraParameters) -> (GrayImage, LocalizeCamera);
 
-/// A way, and the share of the images within view that must be located. What is cropped shows less of what was
-/// mapped, and may show nothing of it.
+/// A way, and the share of the images within view that must be located. What is cropped shows less of what
+/// was mapped, and may show nothing of it.
 type Variant = (&'static str, f64, Shown);
 
 const VARIANTS: [Variant; 6] = [
@@ -82,8 +82,8 @@ const VARIANTS: [Variant; 6] = [
     }),
 ];
 
-/// What takes a map to the truth. The true poses are those of the depth camera, which is fixed beside the color
-/// camera.
+/// What takes a map to the truth. The true poses are those of the depth camera, which is fixed beside the
+/// color camera.
 struct Alignment {
     truth_from_map: Similarity,
     /// The color camera's attitude and place as the depth camera sees them.
@@ -114,7 +114,8 @@ impl Alignment {
         Self { truth_from_map, depth_from_color, pairs: pairs.to_vec() }
     }
 
-    /// As [`Self::error`], against where the nearest mapped frames are in the map: without the map's own drift.
+    /// As [`Self::error`], against where the nearest mapped frames are in the map: without the map's own
+    /// drift.
     fn error_beside(&self, pose: &Pose, truth: &Pose) -> (f64, f64) {
         let mut near: Vec<&(Pose, Pose)> = self.pairs.iter().collect();
         let distance = |other: &Pose| {
