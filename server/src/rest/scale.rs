@@ -57,8 +57,8 @@ pub(super) struct PlaceOfMap {
     /// Where a keyframe's camera was; with `pixel`, whose image it is a pixel of.
     #[serde(default)]
     keyframe_id: Option<u64>,
-    /// A pixel of the keyframe's image, of the session's image size. It must show a point of the map within 12
-    /// pixels, or a line within 4.
+    /// A pixel of the keyframe's image, of the session's image size. It must show a point of the map within
+    /// 12 pixels, or a line within 4.
     #[serde(default)]
     pixel: Option<[f64; 2]>,
 }

@@ -57,10 +57,10 @@ pub(super) struct Wanted {
     /// Which poses.
     #[param(inline)]
     kind: Kind,
-    /// Whose poses: `all`, `largest`, or the number of a submap; submaps do not share a frame of reference. By
-    /// default all submaps in `csv` and `json`, which name each pose's, and in the other formats the largest.
-    /// How many are left out is told in the header `x-monoslam-poses-left-out`, and in TUM and EuRoC files of
-    /// the largest in a comment.
+    /// Whose poses: `all`, `largest`, or the number of a submap; submaps do not share a frame of reference.
+    /// By default all submaps in `csv` and `json`, which name each pose's, and in the other formats the
+    /// largest. How many are left out is told in the header `x-monoslam-poses-left-out`, and in TUM and EuRoC
+    /// files of the largest in a comment.
     #[serde(alias = "submap_id")]
     submap: Option<String>,
     /// First time, nanoseconds.

@@ -113,7 +113,8 @@ impl Service {
     /// Begins global bundle adjustment of a session's map.
     ///
     /// # Errors
-    /// If there is none of this id, a client streams into it, another operation works on it, or too many wait.
+    /// If there is none of this id, a client streams into it, another operation works on it, or too many
+    /// wait.
     pub async fn optimize(&self, caller: &Caller, id: &SessionId) -> Result<Operation, ApiError> {
         self.check_idle(id, "adjusting its map").await?;
         let begun = self.operations.begin(caller, Kind::Optimize, id, None)?;

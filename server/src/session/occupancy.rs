@@ -1,4 +1,5 @@
-//! Which sessions an operation works on, so that whoever wants one of them is told instead of waiting for long.
+//! Which sessions an operation works on, so that whoever wants one of them is told instead of waiting for
+//! long.
 
 use super::SessionId;
 use crate::error::{ApiError, ErrorCode};

@@ -180,8 +180,8 @@ impl Registry {
         Ok(changed)
     }
 
-    /// Takes sessions out of memory and runs `work` on what is stored of them, for as long as it takes. Whoever
-    /// wants one of them meanwhile is refused.
+    /// Takes sessions out of memory and runs `work` on what is stored of them, for as long as it takes.
+    /// Whoever wants one of them meanwhile is refused.
     ///
     /// # Errors
     /// If a writer is connected to one, another operation works on it, or what `work` says.

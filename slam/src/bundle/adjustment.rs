@@ -105,8 +105,9 @@ impl Adjustment {
         self.problem.cost_of(self.point_group).robust + self.problem.cost_of(self.line_group).robust
     }
 
-    /// Half the squared errors of all sightings of points and lines at the present state, those that were left
-    /// out as well; each counts no more than one that just agrees, so that what is wrong anyway does not tell.
+    /// Half the squared errors of all sightings of points and lines at the present state, those that were
+    /// left out as well; each counts no more than one that just agrees, so that what is wrong anyway does not
+    /// tell.
     pub(super) fn cost_of_all_sightings(&self) -> f64 {
         let capped = |chi2: Option<f64>| 0.5 * chi2.map_or(chi2_95(2), |chi2| chi2.min(chi2_95(2)));
         let points = 0..self.point_sightings.len();

@@ -5,8 +5,8 @@
 pub struct RelocalizationConfig {
     /// Places tried per frame. Default 5.
     pub max_candidates: usize,
-    /// Neighbors of a place that is tried whose points are matched too. Default 0: the next frame may show the
-    /// place better; single images have no next one.
+    /// Neighbors of a place that is tried whose points are matched too. Default 0: the next frame may show
+    /// the place better; single images have no next one.
     pub n_matched_neighbors: usize,
     /// Fewest matches with a place worth a try. Default 15.
     pub min_matches: usize,

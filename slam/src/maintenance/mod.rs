@@ -1,4 +1,5 @@
-//! What is done to a stored map as a whole, while no frames come in: adjusting it, and joining it with another.
+//! What is done to a stored map as a whole, while no frames come in: adjusting it, and joining it with
+//! another.
 
 mod join;
 mod optimize;
