@@ -76,7 +76,7 @@ pub use config::{
     InitializationConfig, KeyframeConfig, LineConfig, LoopConfig, MappingConfig, PrimitiveConfig,
     RelocalizationConfig, SlamConfig, SubmapConfig, Threading, TrackingConfig,
 };
-pub use input::{Frame, FrameError, ResumeError, ResumeState};
+pub use input::{Frame, FrameError, ResumeError, ResumeState, SceneMask};
 pub use loops::{KeyframeTies, essential_edges};
 pub use map::{Keyframe, Map, MapUpdate};
 pub use pipeline::Pipeline;

@@ -90,6 +90,13 @@ impl Pipeline {
 
     fn extract(&mut self, frame: Frame, stopwatch: &mut Stopwatch) -> (View, LineTrackingStatistics) {
         let image = Arc::new(self.front_end.working_image(frame.image));
+        if self.front_end.look_for_mask(&image)
+            && let Some(initializer) = &mut self.initializer
+        {
+            // They show what is not the scene.
+            initializer.forget_views();
+        }
+        stopwatch.lap("mask");
         let rotation = self.tracker.expected_rotation(frame.timestamp_ns);
         self.front_end.set_camera_state(self.camera_state());
         let (features, statistics) = self.front_end.extract(&image, rotation, stopwatch);

@@ -9,6 +9,7 @@ mod encryption;
 mod isolation;
 mod kidnap;
 mod maps;
+mod masks;
 mod shutdown;
 mod storage;
 mod tracking;

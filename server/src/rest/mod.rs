@@ -9,6 +9,7 @@ mod keyframes;
 mod lines;
 mod localize;
 mod map;
+mod masks;
 mod model;
 mod place;
 mod points;
@@ -98,6 +99,7 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
         .routes(routes!(sessions::get, sessions::update, sessions::delete))
         .routes(routes!(sessions::scale))
         .routes(routes!(sessions::optimize))
+        .routes(routes!(masks::get, masks::put, masks::delete).layer(DefaultBodyLimit::max(max_image_bytes)))
         .routes(routes!(scene::picture))
         .routes(routes!(events::events))
         .routes(routes!(stream::stream))

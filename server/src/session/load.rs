@@ -8,7 +8,7 @@ use crate::error::{ApiError, ErrorCode};
 use crate::options::engine_config_of;
 use geometry::Camera;
 use slam::map::FrameState;
-use slam::{MapUpdate, Pipeline, ResumeState, SlamConfig, Threading};
+use slam::{MapUpdate, Pipeline, ResumeState, SceneMask, SlamConfig, Threading};
 use std::sync::{Arc, Mutex, PoisonError};
 use store::{KeyframeImage, LoadedSession, SessionStatus, Store, StoredFrame};
 
@@ -93,12 +93,20 @@ pub fn resume_to_locate(mut stored: StoredSession) -> Result<Pipeline, ApiError>
 }
 
 /// The stored frames of one session.
+#[derive(Clone)]
 pub struct History {
     store: Store,
     id: SessionId,
 }
 
 impl History {
+    /// Saves what of the images is left out.
+    pub async fn save_mask(&self, mask: Option<SceneMask>) {
+        if let Err(error) = self.store.set_mask(self.id.as_str(), mask.as_ref()).await {
+            tracing::warn!(session.id = self.id.as_str(), "the mask that was found cannot be saved: {error}");
+        }
+    }
+
     /// What came of a frame; `None` if it is not stored or cannot be read.
     pub async fn frame(&self, sequence: u64) -> Option<StoredFrame> {
         match self.store.frame(self.id.as_str(), sequence).await {
