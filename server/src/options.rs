@@ -153,12 +153,17 @@ pub fn is_of_size_alone(camera: &CameraParameters) -> bool {
 }
 
 /// The camera that a session begins with, and its options: one that is given by its size alone, or of which
-/// no more is to be believed, is guessed, and found as the map grows.
+/// no more is to be believed, is guessed, and found as the map grows. So is one that is doubtful by its numbers
+/// alone where the images may correct it.
 pub fn camera_to_begin_with(
     camera: CameraParameters,
     options: SessionOptions,
 ) -> (CameraParameters, SessionOptions) {
     let calibration = options.calibration.or(is_of_size_alone(&camera).then_some(Calibration::Unknown));
+    let is_doubted = matches!(calibration, None | Some(Calibration::Given))
+        && options.give_up_calibration == Some(true)
+        && CalibrationConfig::default().suspicion(&camera).is_some();
+    let calibration = if is_doubted { Some(Calibration::Unknown) } else { calibration };
     let options = SessionOptions { calibration, ..options };
     if calibration != Some(Calibration::Unknown) {
         return (camera, options);
@@ -179,6 +184,7 @@ pub fn camera_warnings(camera: &CameraParameters) -> Vec<String> {
 /// With a violation per option that cannot be used.
 pub fn engine_config_of(record: &SessionRecord) -> Result<SlamConfig, ApiError> {
     let mut config = engine_config(&SessionOptions::from(record.options.clone()))?;
+    config.calibration = config.calibration.begin_with(record.camera.clone()).1;
     if !record.enlarges_small_images {
         config.enlarge_below_px = 0;
     }

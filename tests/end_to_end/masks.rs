@@ -84,7 +84,7 @@ async fn a_mask_that_is_given_is_taken_as_it_is() {
     let mask = made.into_inner().mask.expect("a mask was given");
     assert!(mask.given && (mask.share - border_share(&camera)).abs() < 1e-6, "{mask:?}");
 
-    let small = png(32, 24, &[255; 32 * 24]).data.to_vec();
+    let small = png(320, 240, &[255; 320 * 240]).data.to_vec();
     let refused = client.create_session(request("small", small)).await.unwrap_err();
     assert!(refused.message().contains("must be the same"), "{refused}");
     let black = png(camera.width, camera.height, &vec![0; (camera.width * camera.height) as usize]);

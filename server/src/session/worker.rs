@@ -410,7 +410,7 @@ fn record_frame(report: &FrameReport, queued_ns: u64) {
     let outcome = match report.outcome {
         TrackingOutcome::Initialising(_) => "initialising",
         TrackingOutcome::Tracked => "tracked",
-        TrackingOutcome::Weak { .. } => "weak",
+        TrackingOutcome::Weak { .. } | TrackingOutcome::CalibrationContradicted => "weak",
         TrackingOutcome::Lost(_) => "lost",
     };
     let seconds = |nanoseconds: u64| nanoseconds as f64 * 1e-9;

@@ -393,7 +393,7 @@ fn right_angles(map: &Map, submap: SubmapId, config: &CalibrationConfig) -> Vec<
 }
 
 /// Settles the free scale by the keyframe that is farthest from the origin.
-fn settle_scale(problem: &mut Problem, poses: &[(KeyframeId, VariableId<Pose>)]) {
+pub(super) fn settle_scale(problem: &mut Problem, poses: &[(KeyframeId, VariableId<Pose>)]) {
     let length_of = |variable| problem.value::<Pose>(variable).translation.norm();
     let farthest = poses
         .iter()

@@ -68,6 +68,7 @@ impl Pipeline {
             map: Arc::new(map),
             last_frame: state.last_frame,
             last_view: None,
+            is_camera_wrong: false,
             mapping_enabled: true,
             lossless: true,
             config,

@@ -53,6 +53,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         camera = Camera::new(config.calibration.camera_of_size(camera.width(), camera.height()))?;
     }
     config.calibration.wide = flag("--wide-calibration");
+    let (parameters, calibration) = config.calibration.begin_with(camera.parameters().clone());
+    (camera, config.calibration) = (Camera::new(parameters)?, calibration);
     if flag("--approximate-camera") {
         config.calibration.trust = CalibrationTrust::Approximate;
     }
