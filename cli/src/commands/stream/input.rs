@@ -194,28 +194,37 @@ fn is_folder(path: &Path) -> bool {
 fn open_folder(path: &Path, args: &InputArgs, fps: Option<f64>, calibration: Option<&Path>) -> Result<Input> {
     let folder = find_folder(path)?;
     let name = name(path);
-    let is_unknown = calibration == Some(Path::new(UNKNOWN));
+    let is_given = calibration.is_some() || args.fov.is_some();
+    let is_nobodys = !is_given && brings_no_calibration(&folder);
+    let is_unknown = is_nobodys || calibration == Some(Path::new(UNKNOWN));
     let camera_of_size = |(width, height): (u32, u32)| -> Result<Camera, FileError> {
         let given = Given { file: calibration, fov_deg: args.fov, recorded: None };
         let refused =
             |error: anyhow::Error| FileError::Content { path: folder.clone(), message: format!("{error:#}") };
-        let camera = given.camera(&folder.join("images"), &name, (width, height)).map_err(refused)?;
-        let stand_in = || from_field_of_view(STAND_IN_FOV_DEG, width, height);
-        let camera = if is_unknown { stand_in() } else { camera };
+        let camera = if is_unknown {
+            from_field_of_view(STAND_IN_FOV_DEG, width, height)
+        } else {
+            given.camera(&folder.join("images"), &name, (width, height)).map_err(refused)?
+        };
         Camera::new(camera).map_err(|error| refused(error.into()))
     };
-    let is_given = calibration.is_some() || args.fov.is_some();
     let options = OpenOptions {
         layout: args.layout,
         fps,
         times: args.times,
         sort: args.sort,
         skip_bad: args.skip_bad,
-        camera: is_given.then_some(&camera_of_size as CameraOfSize<'_>),
+        camera: (is_given || is_nobodys).then_some(&camera_of_size as CameraOfSize<'_>),
     };
     let recording = Recording::open_with(&folder, &options)?;
     for remark in &recording.remarks {
         eprintln!("{remark}");
+    }
+    if is_nobodys {
+        eprintln!(
+            "{name} has no {CALIBRATION}: its camera is found as the map grows; --camera FILE gives a calibration, \
+             --fov DEG a field of view"
+        );
     }
     let camera = recording.camera.parameters().clone();
     let camera = if is_unknown { of_size(camera.width, camera.height) } else { camera };
@@ -230,6 +239,15 @@ fn open_folder(path: &Path, args: &InputArgs, fps: Option<f64>, calibration: Opt
         is_timed_by_rate,
         sequential: None,
     })
+}
+
+/// Whether a folder is one of pictures whose camera nobody has described: other layouts bring calibrations or have
+/// published ones.
+fn brings_no_calibration(folder: &Path) -> bool {
+    let is_there = |name: &str| folder.join(name).exists();
+    let known = [CALIBRATION, "calib.txt", "mav0", "cam0", "intrinsic", "associations.txt", "cameras.txt"];
+    let is_published = Recording::open(folder, None).is_ok();
+    !known.into_iter().any(is_there) && !is_published
 }
 
 fn open_bag(bag: Bag) -> Result<Sequential> {
