@@ -43,12 +43,12 @@ pub struct SessionOptions {
     /// where the camera is given by its size alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<Calibration>,
-    /// Wide self-calibration: whether a calibration that the images contradict is given up for the camera that
-    /// they show. Without it the contradiction is told, and the calibration used as it was given.
+    /// Wide self-calibration: whether a calibration that the images contradict is given up for the camera
+    /// that they show. Without it the contradiction is told, and the calibration used as it was given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub give_up_calibration: Option<bool>,
-    /// Whether what stays where it is in the image while the scene moves is found and left out: black borders,
-    /// watermarks, a car's bonnet. Not where a mask was given.
+    /// Whether what stays where it is in the image while the scene moves is found and left out: black
+    /// borders, watermarks, a car's bonnet. Not where a mask was given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub find_mask: Option<bool>,
 }
@@ -153,8 +153,8 @@ pub fn is_of_size_alone(camera: &CameraParameters) -> bool {
 }
 
 /// The camera that a session begins with, and its options: one that is given by its size alone, or of which
-/// no more is to be believed, is guessed, and found as the map grows. So is one that is doubtful by its numbers
-/// alone where the images may correct it.
+/// no more is to be believed, is guessed, and found as the map grows. So is one that is doubtful by its
+/// numbers alone where the images may correct it.
 pub fn camera_to_begin_with(
     camera: CameraParameters,
     options: SessionOptions,

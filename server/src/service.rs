@@ -190,8 +190,8 @@ impl Service {
         Ok(self.view(id, record))
     }
 
-    /// What of a session's images is left out, as a gray picture in a PNG file: white where the scene is, black
-    /// where nothing is used.
+    /// What of a session's images is left out, as a gray picture in a PNG file: white where the scene is,
+    /// black where nothing is used.
     ///
     /// # Errors
     /// If there is none of this id, or nothing is left out.

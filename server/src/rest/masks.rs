@@ -9,8 +9,8 @@ use axum::extract::{Path, Request, State};
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 
-/// What is left out of a session's images as not being the scene: white where the scene is seen, black what is
-/// left out. Given, or found as what stays where it is while the scene moves.
+/// What is left out of a session's images as not being the scene: white where the scene is seen, black what
+/// is left out. Given, or found as what stays where it is while the scene moves.
 #[utoipa::path(get, path = "/v1/sessions/{id}/mask", tag = "sessions", params(("id", description = "The session's id")), responses(
     (status = 200, description = "The picture, of the size that images are worked on", content((Vec<u8> = "image/png"))),
     (status = 404, description = "No such session, or nothing is left out", body = ProblemDetails, content_type = "application/problem+json")

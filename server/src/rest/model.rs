@@ -51,7 +51,8 @@ pub struct Session {
     pub refined_camera: Option<Camera>,
     /// The session's options.
     pub options: SessionOptions,
-    /// What of its images is left out as not being the scene, such as a black border; `null` while nothing is.
+    /// What of its images is left out as not being the scene, such as a black border; `null` while nothing
+    /// is.
     pub mask: Option<Mask>,
     /// What is doubtful about the camera without keeping it from being used, in plain sentences.
     pub camera_warnings: Vec<String>,

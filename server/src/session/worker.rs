@@ -319,8 +319,8 @@ impl Worker {
         Reply::Repeated { sequence, timestamp_ns, before, durable_sequence, metres_per_unit }
     }
 
-    /// Saves what was found not to be the scene, beside everything else, one state at a time: should it be lost,
-    /// it is found again.
+    /// Saves what was found not to be the scene, beside everything else, one state at a time: should it be
+    /// lost, it is found again.
     fn save_mask(&mut self) {
         let is_busy = self.mask_saving.as_ref().is_some_and(|saving| !saving.is_finished());
         if is_busy || self.pipeline.mask() == self.saved_mask.as_ref() {

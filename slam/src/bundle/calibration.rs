@@ -206,7 +206,8 @@ impl<'a> Calibration<'a> {
         };
         let found = knowledge_of(self.problem.value(self.correction));
         let gain = 2.0 * (present_images + knowledge_of(&present) - found_images - found);
-        // What was gained counts for as much less as errors turned out to be more correlated than was thought.
+        // What was gained counts for as much less as errors turned out to be more correlated than was
+        // thought.
         let gain = gain * self.least_inflation() / inflation;
         (!aborted()).then(|| self.into_estimate(inflation, gain, sigmas))
     }

@@ -26,9 +26,9 @@ pub(crate) struct HeldOut {
     pub correction: CameraCorrection,
 }
 
-/// Fits the present camera, and one that is free, to two thirds of a submap's keyframes, and compares how well
-/// the others, of which only the poses are free, agree with either. `None` if there are too few of them, or
-/// `aborted` said so.
+/// Fits the present camera, and one that is free, to two thirds of a submap's keyframes, and compares how
+/// well the others, of which only the poses are free, agree with either. `None` if there are too few of them,
+/// or `aborted` said so.
 pub(crate) fn hold_out(
     map: &Map,
     submap: SubmapId,

@@ -236,8 +236,8 @@ impl Look<'_> {
         Some(IntrinsicsCheck { memory: Memory { doubt: Some(doubt), ..Memory::default() }, ..nothing })
     }
 
-    /// Whether keyframes that it was not fitted to speak for a camera as well: fitted to the others alone it is
-    /// much the same, and explains them better than the present one. `None` if `abort` was set meanwhile.
+    /// Whether keyframes that it was not fitted to speak for a camera as well: fitted to the others alone it
+    /// is much the same, and explains them better than the present one. `None` if `abort` was set meanwhile.
     fn holds_elsewhere(&self, correction: &CameraCorrection) -> Option<bool> {
         let aborted = || self.abort.load(Ordering::Relaxed);
         let config = &self.config.calibration;

@@ -20,9 +20,9 @@ pub struct MaskFinderConfig {
     pub min_edge_share: f32,
     /// The same once it is masked. Default 0.5.
     pub min_edge_share_while_masked: f32,
-    /// How far the scene must have moved across an edge that stays, pixels of the image it is found in, at most
-    /// 320 wide. Default 24: no edge of the scene stays by chance; a kerb that a car follows, which moves along
-    /// itself, does for seconds.
+    /// How far the scene must have moved across an edge that stays, pixels of the image it is found in, at
+    /// most 320 wide. Default 24: no edge of the scene stays by chance; a kerb that a car follows, which
+    /// moves along itself, does for seconds.
     pub min_crossing: f32,
     /// Share of the border of a part of the image that keeps its values that must be edges which stay for the
     /// whole of it to be left out: the sky keeps them too, but what stands before it moves. Default 0.6.
@@ -132,8 +132,8 @@ impl MaskFinder {
         self.evidence.n_images
     }
 
-    /// Whether a frame is looked at: each, while a border may have to be found before the map begins; later two
-    /// in a row now and then, for between more distant ones it cannot be told which way the scene moved.
+    /// Whether a frame is looked at: each, while a border may have to be found before the map begins; later
+    /// two in a row now and then, for between more distant ones it cannot be told which way the scene moved.
     fn is_looked_at(&self, frame: u32) -> bool {
         let MaskFinderConfig {
             min_images_of_border, n_images_at_first, first_interval, later_interval, ..

@@ -18,7 +18,8 @@ pub use finder::{MaskFinder, MaskFinderConfig};
 
 use crate::GrayImage;
 
-/// Gray levels below this are left out, as in masks of other programs, where black is left out and white used.
+/// Gray levels below this are left out, as in masks of other programs, where black is left out and white
+/// used.
 const USED_FROM: u8 = 128;
 
 /// Which pixels of a camera's images show the scene.

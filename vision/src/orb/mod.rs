@@ -143,8 +143,8 @@ impl Default for OrbConfig {
     }
 }
 
-/// Whether the patch of a corner found in a level, whose pixels are `scale` pixels of the image wide and high,
-/// is clear of what is left out.
+/// Whether the patch of a corner found in a level, whose pixels are `scale` pixels of the image wide and
+/// high, is clear of what is left out.
 fn is_clear(clearance: &Clearance, corner: &Corner, scale: [f32; 2]) -> bool {
     let full = |at: u16, scale: f32| ((f32::from(at) + 0.5) * scale - 0.5).round().max(0.0) as u32;
     let distance = clearance.at(full(corner.x, scale[0]), full(corner.y, scale[1]));
@@ -265,8 +265,8 @@ impl OrbExtractor {
         self.config.n_features = n_features;
     }
 
-    /// Keeps the patches of keypoints clear of what a mask of the images leaves out, as of their edges. A mask
-    /// for images of another size than those extracted is not heeded.
+    /// Keeps the patches of keypoints clear of what a mask of the images leaves out, as of their edges. A
+    /// mask for images of another size than those extracted is not heeded.
     pub fn set_clearance(&mut self, clearance: Option<Arc<Clearance>>) {
         self.clearance = clearance;
     }

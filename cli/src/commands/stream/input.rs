@@ -241,8 +241,8 @@ fn open_folder(path: &Path, args: &InputArgs, fps: Option<f64>, calibration: Opt
     })
 }
 
-/// Whether a folder is one of pictures whose camera nobody has described: other layouts bring calibrations or have
-/// published ones.
+/// Whether a folder is one of pictures whose camera nobody has described: other layouts bring calibrations or
+/// have published ones.
 fn brings_no_calibration(folder: &Path) -> bool {
     let is_there = |name: &str| folder.join(name).exists();
     let known = [CALIBRATION, "calib.txt", "mav0", "cam0", "intrinsic", "associations.txt", "cameras.txt"];
