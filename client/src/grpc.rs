@@ -102,10 +102,26 @@ impl SlamClient {
         camera: &CameraParameters,
         options: v1::SessionOptions,
     ) -> Result<v1::Session, ClientError> {
+        self.create_session_with_mask(session_id, camera, options, Vec::new()).await
+    }
+
+    /// As [`Self::create_session`], with the file of a picture that is dark where nothing of the images is to
+    /// be used.
+    ///
+    /// # Errors
+    /// As there; `INVALID_ARGUMENT` also if the picture cannot be used.
+    pub async fn create_session_with_mask(
+        &mut self,
+        session_id: &str,
+        camera: &CameraParameters,
+        options: v1::SessionOptions,
+        mask: Vec<u8>,
+    ) -> Result<v1::Session, ClientError> {
         let request = v1::CreateSessionRequest {
             session_id: session_id.to_owned(),
             camera: Some(camera_message(camera)),
             options: Some(options),
+            mask,
         };
         let answer = self.grpc.create_session(request).await;
         self.unpack(answer)

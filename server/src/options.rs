@@ -43,6 +43,14 @@ pub struct SessionOptions {
     /// where the camera is given by its size alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<Calibration>,
+    /// Wide self-calibration: whether a calibration that the images contradict is given up for the camera
+    /// that they show. Without it the contradiction is told, and the calibration used as it was given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub give_up_calibration: Option<bool>,
+    /// Whether what stays where it is in the image while the scene moves is found and left out: black
+    /// borders, watermarks, a car's bonnet. Not where a mask was given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub find_mask: Option<bool>,
 }
 
 /// How far what is said of a camera is to be believed.
@@ -76,10 +84,9 @@ same_words!(store::Calibration => Calibration);
 same_words!(Calibration => CalibrationTrust);
 
 /// Conversion between two types with a field for each option. Naming each makes the compiler see when one is
-/// added. Behind `without` stand those that the first type alone has, behind `with` those of the second
-/// alone.
+/// added. Behind `as` stands one whose types convert, behind `from` one that a function converts.
 macro_rules! convert_options {
-    ($from:path => $to:path $(, without $ignored:ident)* $(, with $own:ident = $value:expr)* $(, as $same:ident)*) => {
+    ($from:path => $to:path $(, from $own:ident = $convert:path)* $(, as $same:ident)*) => {
         impl From<$from> for $to {
             fn from(options: $from) -> Self {
                 let $from {
@@ -92,7 +99,9 @@ macro_rules! convert_options {
                     loop_closing,
                     refine_calibration,
                     max_keyframes,
-                    $($ignored: _,)*
+                    give_up_calibration,
+                    find_mask,
+                    $($own,)*
                     $($same,)*
                 } = options;
                 Self {
@@ -105,7 +114,9 @@ macro_rules! convert_options {
                     loop_closing,
                     refine_calibration,
                     max_keyframes,
-                    $($own: $value,)*
+                    give_up_calibration,
+                    find_mask,
+                    $($own: $convert($own),)*
                     $($same: $same.map(Into::into),)*
                 }
             }
@@ -130,6 +141,8 @@ impl SessionOptions {
             refine_calibration: changes.refine_calibration.or(self.refine_calibration),
             max_keyframes: changes.max_keyframes.or(self.max_keyframes),
             calibration: changes.calibration.or(self.calibration),
+            give_up_calibration: changes.give_up_calibration.or(self.give_up_calibration),
+            find_mask: changes.find_mask.or(self.find_mask),
         }
     }
 }
@@ -140,12 +153,17 @@ pub fn is_of_size_alone(camera: &CameraParameters) -> bool {
 }
 
 /// The camera that a session begins with, and its options: one that is given by its size alone, or of which
-/// no more is to be believed, is guessed, and found as the map grows.
+/// no more is to be believed, is guessed, and found as the map grows. So is one that is doubtful by its
+/// numbers alone where the images may correct it.
 pub fn camera_to_begin_with(
     camera: CameraParameters,
     options: SessionOptions,
 ) -> (CameraParameters, SessionOptions) {
     let calibration = options.calibration.or(is_of_size_alone(&camera).then_some(Calibration::Unknown));
+    let is_doubted = matches!(calibration, None | Some(Calibration::Given))
+        && options.give_up_calibration == Some(true)
+        && CalibrationConfig::default().suspicion(&camera).is_some();
+    let calibration = if is_doubted { Some(Calibration::Unknown) } else { calibration };
     let options = SessionOptions { calibration, ..options };
     if calibration != Some(Calibration::Unknown) {
         return (camera, options);
@@ -166,6 +184,7 @@ pub fn camera_warnings(camera: &CameraParameters) -> Vec<String> {
 /// With a violation per option that cannot be used.
 pub fn engine_config_of(record: &SessionRecord) -> Result<SlamConfig, ApiError> {
     let mut config = engine_config(&SessionOptions::from(record.options.clone()))?;
+    config.calibration = config.calibration.begin_with(record.camera.clone()).1;
     if !record.enlarges_small_images {
         config.enlarge_below_px = 0;
     }
@@ -189,8 +208,10 @@ pub fn engine_config(options: &SessionOptions) -> Result<SlamConfig, ApiError> {
         global_primitives: lines && options.global_primitives.unwrap_or(config.features.global_primitives),
         loop_closing: options.loop_closing.unwrap_or(config.features.loop_closing),
         refine_calibration: options.refine_calibration.unwrap_or(config.features.refine_calibration),
+        find_mask: options.find_mask.unwrap_or(config.features.find_mask),
     };
     config.calibration.trust = options.calibration.map_or(config.calibration.trust, Into::into);
+    config.calibration.wide = options.give_up_calibration.unwrap_or(config.calibration.wide);
     if options.deterministic == Some(true) {
         config.threading = Threading::Inline;
     }

@@ -8,7 +8,7 @@ use crate::config::Config;
 use crate::current::{Changes, Current};
 use crate::error::{ApiError, ErrorCode};
 use crate::localization::Localization;
-use crate::maps::{MapQueries, Observed, SceneParts};
+use crate::maps::{MapQueries, Observed, SceneParts, masks};
 use crate::operations::{Operations, Tools};
 use crate::options::{SessionOptions, camera_to_begin_with, camera_warnings, check_camera, engine_config};
 use crate::page::{Page, PageRequest};
@@ -16,6 +16,7 @@ use crate::session::{
     self, FrameQueue, OpenRequest, Registry, Replies, Reply, SessionId, SessionView, ShownFrame,
 };
 use crate::soundness::Soundness;
+use bytes::Bytes;
 use geometry::CameraParameters;
 use std::hash::RandomState;
 use std::sync::Arc;
@@ -62,6 +63,8 @@ pub struct NewSession {
     pub camera: CameraParameters,
     /// The session's options.
     pub options: SessionOptions,
+    /// The file of a picture that is dark where nothing of its images is to be used.
+    pub mask: Option<Bytes>,
 }
 
 impl Service {
@@ -148,11 +151,15 @@ impl Service {
     /// If the camera or an option cannot be used, the id is taken, or there are too many sessions.
     pub async fn create_session(&self, caller: &Caller, new: NewSession) -> Result<SessionView, ApiError> {
         self.registry.check_open()?;
-        let NewSession { id, camera, options } = new;
+        let NewSession { id, camera, options, mask } = new;
         let (camera, options) = camera_to_begin_with(camera, options);
         check_image_size(&camera, self.config().limits.max_image_pixels)?;
         let camera = check_camera(camera)?;
         engine_config(&options)?;
+        let mask = match mask {
+            Some(file) => Some(masks::read(file, camera.parameters(), self.config().decode_limits()).await?),
+            None => None,
+        };
         let limit = self.config().limits.max_sessions;
         let mut n_sessions = self.n_sessions.lock().await;
         if *n_sessions >= limit {
@@ -165,7 +172,7 @@ impl Service {
         let created_at_ns = crate::clock::since_1970_ns();
         let (id_text, options) = (id.as_str().to_owned(), options.into());
         let camera = camera.parameters().clone();
-        let new = store::NewSession { id: id_text, camera, options, created_at_ns };
+        let new = store::NewSession { id: id_text, camera, options, created_at_ns, mask };
         let record = self.store.create_session(&new).await?;
         *n_sessions += 1;
         access::record(caller, Change::Created, &id);
@@ -234,6 +241,42 @@ impl Service {
             engine_config(&options)?;
             let changes = SessionChanges { options: Some(options.into()), ..SessionChanges::default() };
             Ok(self.store.update_session(id.as_str(), &changes).await?)
+        };
+        let record = self.registry.change(id, change).await?;
+        access::record(caller, Change::Updated, id);
+        Ok(self.view(id, record))
+    }
+
+    /// What of a session's images is left out, as a gray picture in a PNG file: white where the scene is,
+    /// black where nothing is used.
+    ///
+    /// # Errors
+    /// If there is none of this id, or nothing is left out.
+    pub async fn mask(&self, id: &SessionId) -> Result<Bytes, ApiError> {
+        let known = self.store.mask(id.as_str()).await?.ok_or_else(|| masks::none_of(id))?;
+        masks::picture(known).await
+    }
+
+    /// Gives what of a session's images is to be left out, or, with `None`, lets that be found. It holds from
+    /// its next stream on.
+    ///
+    /// # Errors
+    /// If there is none of this id, a writer is connected, or the picture cannot be used.
+    pub async fn set_mask(
+        &self,
+        caller: &Caller,
+        id: &SessionId,
+        file: Option<Bytes>,
+    ) -> Result<SessionView, ApiError> {
+        self.registry.check_open()?;
+        let camera = self.store.get_session(id.as_str()).await?.camera;
+        let mask = match file {
+            Some(file) => Some(masks::read(file, &camera, self.config().decode_limits()).await?),
+            None => None,
+        };
+        let change = async {
+            self.store.set_mask(id.as_str(), mask.as_ref()).await?;
+            Ok(self.store.get_session(id.as_str()).await?)
         };
         let record = self.registry.change(id, change).await?;
         access::record(caller, Change::Updated, id);

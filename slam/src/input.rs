@@ -3,7 +3,9 @@
 use crate::config::ConfigError;
 use crate::map::{MapError, MapParts};
 use geometry::Camera;
+use std::sync::Arc;
 use vision::GrayImage;
+use vision::mask::Mask;
 
 /// One image of the stream.
 #[derive(Clone, Debug)]
@@ -72,6 +74,15 @@ impl Frame {
     }
 }
 
+/// What of a camera's images is not the scene, and how that is known.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SceneMask {
+    /// What is left out, for images of any size and the camera's proportions.
+    pub mask: Arc<Mask>,
+    /// Whether it was given with the session; else it was found.
+    pub is_given: bool,
+}
+
 /// What a stored session is taken up with.
 #[derive(Clone, Debug, Default)]
 pub struct ResumeState {
@@ -79,6 +90,8 @@ pub struct ResumeState {
     pub map: MapParts,
     /// Number and time of the last stored frame.
     pub last_frame: Option<(u64, i64)>,
+    /// What of the images is known not to be the scene.
+    pub mask: Option<SceneMask>,
 }
 
 /// Why a stored session cannot be taken up.

@@ -80,7 +80,7 @@ pub use config::{
     InitializationConfig, KeyframeConfig, LineConfig, LoopConfig, MappingConfig, PrimitiveConfig,
     RelocalizationConfig, RollingShutterConfig, SlamConfig, SubmapConfig, Threading, TrackingConfig,
 };
-pub use input::{Frame, FrameError, ResumeError, ResumeState};
+pub use input::{Frame, FrameError, ResumeError, ResumeState, SceneMask};
 pub use localization::{Found, LocalizeCamera, Localizer, Near};
 pub use loops::{KeyframeTies, essential_edges};
 pub use maintenance::{Joined, Merged, Optimized, PlacedFrame, Recordings, merge, optimize};

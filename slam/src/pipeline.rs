@@ -13,7 +13,7 @@ use crate::input::{Frame, FrameError};
 use crate::map::{FramePose, FrameRecord, KeyframeId, Map};
 use crate::mapping::stage::MappingStage;
 use crate::mapping::{InitialMap, NewKeyframe};
-use crate::report::{FrameReport, InitializationWait, LostReason, TrackingOutcome};
+use crate::report::{FrameReport, InitializationWait, LostReason, MapEvent, TrackingOutcome};
 use crate::rolling_shutter::RollingShutter;
 use crate::submaps::{Abandoned, SubmapPolicy};
 use crate::tracking::frame::TrackedFrame;
@@ -48,6 +48,8 @@ pub struct Pipeline {
     last_frame: Option<(u64, i64)>,
     /// What the last frame measured, for whoever wants to see it.
     last_view: Option<View>,
+    /// The images contradict the calibration.
+    is_camera_wrong: bool,
     mapping_enabled: bool,
     lossless: bool,
     /// Absent where all rows of an image are read at once.
@@ -88,11 +90,21 @@ impl Pipeline {
         self.last_view = Some(view.clone());
 
         let submap = self.submaps.current();
-        Ok(result.into_report(&view, submap, line_statistics, self.mapping.take_events(), stopwatch.finish()))
+        let events = self.mapping.take_events();
+        self.note_camera(&events);
+        result.outcome = self.outcome_told(result.outcome);
+        Ok(result.into_report(&view, submap, line_statistics, events, stopwatch.finish()))
     }
 
     fn extract(&mut self, frame: Frame, stopwatch: &mut Stopwatch) -> (View, LineTrackingStatistics) {
         let image = Arc::new(self.front_end.working_image(frame.image));
+        if self.front_end.look_for_mask(&image)
+            && let Some(initializer) = &mut self.initializer
+        {
+            // They show what is not the scene.
+            initializer.forget_views();
+        }
+        stopwatch.lap("mask");
         let rotation = self.tracker.expected_rotation(frame.timestamp_ns);
         self.front_end.set_camera_state(self.camera_state());
         let (features, statistics) = self.front_end.extract(&image, rotation, stopwatch);
@@ -229,9 +241,32 @@ impl Pipeline {
         self.trajectory.discard_submap();
     }
 
+    /// Takes note of whether the camera is the one that the map was made with.
+    fn note_camera(&mut self, events: &[MapEvent]) {
+        for event in events {
+            match event {
+                MapEvent::CalibrationContradicted { .. } => self.is_camera_wrong = true,
+                MapEvent::CalibrationRefined { .. } => self.is_camera_wrong = false,
+                _ => {}
+            }
+        }
+    }
+
+    /// How tracking ended, as it is told: in a bent map no pose is plainly good.
+    fn outcome_told(&self, outcome: TrackingOutcome) -> TrackingOutcome {
+        match outcome {
+            TrackingOutcome::Tracked if self.is_camera_wrong => TrackingOutcome::CalibrationContradicted,
+            outcome => outcome,
+        }
+    }
+
+    fn record_of(&self, view: &View, result: &FrameResult) -> FrameRecord {
+        FrameRecord { state: self.outcome_told(result.outcome).state(), ..result.record(view, &self.map) }
+    }
+
     /// Notes the frame in the trajectory.
     fn record(&mut self, view: &View, result: &FrameResult) {
-        self.trajectory.note(result.record(view, &self.map), self.submaps.is_young(&self.map));
+        self.trajectory.note(self.record_of(view, result), self.submaps.is_young(&self.map));
         if self.trajectory.is_full() {
             self.flush_records();
         }
@@ -262,7 +297,7 @@ impl Pipeline {
         let id = self.next_keyframe_id();
         // The frame moves with its keyframe from now on.
         let pose = FramePose { submap: place.submap, reference: id, camera_from_reference: Pose::identity() };
-        self.trajectory.replace(FrameRecord { pose: Some(pose), ..result.record(view, &self.map) });
+        self.trajectory.replace(FrameRecord { pose: Some(pose), ..self.record_of(view, result) });
         let new = NewKeyframe {
             place,
             keyframe: self.settled(frame).to_keyframe(id, Some(frame.reference)),

@@ -143,6 +143,8 @@ pub enum TrackingOutcome {
         /// How well they determine it.
         uncertainty: PoseUncertainty,
     },
+    /// The pose is good in a map that contradicts the calibration it was made with: the map is bent.
+    CalibrationContradicted,
     /// There is no pose.
     Lost(LostReason),
 }
@@ -153,7 +155,7 @@ impl TrackingOutcome {
         match self {
             Self::Initialising(_) => FrameState::Initialising,
             Self::Tracked => FrameState::Tracked,
-            Self::Weak { .. } => FrameState::Weak,
+            Self::Weak { .. } | Self::CalibrationContradicted => FrameState::Weak,
             Self::Lost(_) => FrameState::Lost,
         }
     }
@@ -168,6 +170,10 @@ impl TrackingOutcome {
                     "weak pose: {n_inliers} landmarks agree, {n_required} needed for a good one; uncertain by {uncertainty}"
                 )
             }
+            Self::CalibrationContradicted => "the images contradict the calibration, so the map is bent: is it that of \
+                                              another camera, or of images of another size? Give the right one, or \
+                                              let the session find it (wide self-calibration)"
+                .to_owned(),
             Self::Lost(reason) => reason.to_string(),
         }
     }

@@ -65,7 +65,7 @@ fn a_focal_length_that_is_a_little_wrong_is_put_right() {
         fy: map.keyframes().next().unwrap().features.nominal_pinhole.fy,
         ..refined.sequence.camera().parameters().clone()
     });
-    let state = ResumeState { map: map.to_parts(), last_frame: None };
+    let state = ResumeState { map: map.to_parts(), last_frame: None, mask: None };
     let again = Session::resume(inline(0), &given.unwrap(), state);
     assert_eq!(again.pipeline.map().correction(), correction);
 }
@@ -119,7 +119,7 @@ fn a_camera_of_which_only_the_size_is_known_is_found() {
 
     // A map is the same when it is taken up again: the rays of its keyframes are those of the camera found.
     let map = walk.session.pipeline.map();
-    let state = ResumeState { map: map.to_parts(), last_frame: None };
+    let state = ResumeState { map: map.to_parts(), last_frame: None, mask: None };
     let nominal = found.with_correction(CameraCorrection::default());
     let mut config = inline(1);
     config.calibration.trust = CalibrationTrust::Unknown;

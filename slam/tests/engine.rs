@@ -98,7 +98,8 @@ fn a_resumed_session_finds_its_place_and_goes_on_in_the_same_frame_of_reference(
         show(&mut session, index as u64, image(&sequence, index));
     }
     let map = session.finish();
-    let state = ResumeState { map: map.to_parts(), last_frame: Some((89, 89 * FRAME_INTERVAL_NS)) };
+    let state =
+        ResumeState { map: map.to_parts(), last_frame: Some((89, 89 * FRAME_INTERVAL_NS)), mask: None };
     let mut resumed = resume_session(&sequence, Threading::Background, state);
     resumed.records = std::mem::take(&mut session.records);
     let reports: Vec<FrameReport> =

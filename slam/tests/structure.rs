@@ -91,7 +91,8 @@ fn a_restored_session_goes_on_with_its_lines_and_primitives() {
     run(&mut first, &sequence, 0..100);
     let map = first.pipeline.map();
     assert!(map.n_lines() > 0);
-    let state = ResumeState { map: map.to_parts(), last_frame: Some((99, 99 * FRAME_INTERVAL_NS)) };
+    let state =
+        ResumeState { map: map.to_parts(), last_frame: Some((99, 99 * FRAME_INTERVAL_NS)), mask: None };
     let mut second = session(&sequence, FeatureSwitches::default(), state);
     assert_eq!(
         (second.pipeline.map().n_lines(), second.pipeline.map().n_primitives()),

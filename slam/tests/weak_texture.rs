@@ -34,7 +34,7 @@ fn a_resumed_session_of_weak_texture_finds_its_place_before_it_begins_a_submap()
 
     let last = N_FIRST - 1;
     let last_frame = Some((last as u64, last as i64 * FRAME_INTERVAL_NS));
-    let state = ResumeState { map: map.to_parts(), last_frame };
+    let state = ResumeState { map: map.to_parts(), last_frame, mask: None };
     let mut resumed = Session::resume(inline(7), sequence.camera(), state);
     let reports: Vec<FrameReport> =
         (N_FIRST..N_FIRST + N_SECOND).map(|index| show(&mut resumed, &sequence, index)).collect();

@@ -40,7 +40,7 @@
 //!     distortion: vec![],
 //! };
 //! let options = SessionOptions::default();
-//! let new = NewSession { id: "kitchen".into(), camera, options, created_at_ns: 0 };
+//! let new = NewSession { id: "kitchen".into(), camera, options, created_at_ns: 0, mask: None };
 //! store.create_session(&new).await?;
 //! assert_eq!(store.list_sessions(None, 10).await?.items[0].id, "kitchen");
 //! assert!(store.check().await?.is_empty());
@@ -62,6 +62,7 @@ mod graph;
 mod keyframes;
 mod lines;
 mod load;
+mod mask;
 mod measured;
 mod migrations;
 mod number;
@@ -96,7 +97,9 @@ pub use points::{Bounds, PointQuery};
 pub use primitives::PrimitiveRecord;
 pub use save::{Committed, KeyframeImage, SessionStatus};
 pub use segments::Segments;
-pub use session::{Calibration, NewSession, SessionChanges, SessionCounts, SessionOptions, SessionRecord};
+pub use session::{
+    Calibration, MaskShare, NewSession, SessionChanges, SessionCounts, SessionOptions, SessionRecord,
+};
 pub use snapshot::MapSnapshot;
 pub use tokens::{NewToken, TOKEN_HASH_BYTES, TokenQuotas, TokenRecord, TokenRole};
 pub use trajectory::{StoredFrame, SubmapChoice, TrajectoryFilter, TrajectoryKind, TrajectoryPose};

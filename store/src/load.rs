@@ -2,6 +2,7 @@
 
 use crate::blob::{FeatureSettings, decode_features, decode_vanishing};
 use crate::lines::{LINE_COLUMNS, parse_line};
+use crate::mask::read_mask;
 use crate::number::{from_column, keyframe_id, submap_id};
 use crate::observations::enter_observations;
 use crate::points::{POINT_COLUMNS, parse_point};
@@ -64,6 +65,7 @@ impl Store {
         let points = read_landmarks(&mut transaction, number, ("points", POINT_COLUMNS), parse_point).await?;
         let lines = read_landmarks(&mut transaction, number, ("lines", LINE_COLUMNS), parse_line).await?;
         let primitives = read_primitives(&mut transaction, number).await?;
+        let mask = read_mask(&mut transaction, number).await?;
         let removed_keyframes = read_removed(&mut transaction, number).await?;
         transaction.commit().await?;
 
@@ -83,7 +85,7 @@ impl Store {
         };
         let map = blocking(move || enter_observations(parts)).await?;
         let engine_ns = |(sequence, timestamp_ns)| (sequence, segments.engine_ns(sequence, timestamp_ns));
-        let resume = ResumeState { map, last_frame: record.last_frame.map(engine_ns) };
+        let resume = ResumeState { map, last_frame: record.last_frame.map(engine_ns), mask };
         Ok(LoadedSession { record, resume, segments })
     }
 }

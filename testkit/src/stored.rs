@@ -11,7 +11,13 @@ use crate::world::camera;
 /// A session of the camera of all maps.
 pub fn new_session(id: &str) -> NewSession {
     let options = SessionOptions { seed: Some(7), deterministic: Some(true), ..SessionOptions::default() };
-    NewSession { id: id.into(), camera: camera(), options, created_at_ns: 1_700_000_000_000_000_000 }
+    NewSession {
+        id: id.into(),
+        camera: camera(),
+        options,
+        created_at_ns: 1_700_000_000_000_000_000,
+        mask: None,
+    }
 }
 
 /// What updates say of the session.

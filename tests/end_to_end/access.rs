@@ -56,8 +56,12 @@ async fn lab() -> Lab {
 
 impl Lab {
     async fn create(&self, token: &str, id: &str) -> Result<v1::Session, Status> {
-        let request =
-            v1::CreateSessionRequest { session_id: id.into(), camera: Some(camera(320, 240)), options: None };
+        let request = v1::CreateSessionRequest {
+            session_id: id.into(),
+            camera: Some(camera(320, 240)),
+            options: None,
+            mask: Vec::new(),
+        };
         let answer = self.server.client().await.create_session(with_token(token, request)).await;
         answer.map(tonic::Response::into_inner)
     }

@@ -84,8 +84,12 @@ pub async fn owners() -> Owners {
     let ann = server.token("ann", TokenRole::Writer).await;
     let bob = server.token("bob", TokenRole::Writer).await;
     let mut client = server.client().await;
-    let new =
-        v1::CreateSessionRequest { session_id: SESSION.into(), camera: Some(world.camera()), options: None };
+    let new = v1::CreateSessionRequest {
+        session_id: SESSION.into(),
+        camera: Some(world.camera()),
+        options: None,
+        mask: Vec::new(),
+    };
     client.create_session(with_token(&ann, new)).await.unwrap();
     let messages = [
         v1::stream_frames_request::Message::Open(open_message(SESSION)),
@@ -184,6 +188,7 @@ async fn no_call_tells_of_anothers_session() {
         session_id: SESSION.into(),
         camera: Some(tests::camera(320, 240)),
         options: None,
+        mask: Vec::new(),
     };
     call(&server, "CreateSession", new.encode_to_vec().into(), Some(&bob)).await.unwrap();
     let mine = call(&server, "GetSession", request("GetSession", SESSION), Some(&ann)).await.unwrap();

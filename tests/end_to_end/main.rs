@@ -10,6 +10,7 @@ mod encryption;
 mod isolation;
 mod kidnap;
 mod maps;
+mod masks;
 mod operations;
 mod places;
 mod segments;

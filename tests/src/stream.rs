@@ -59,7 +59,12 @@ pub async fn create_session(
     id: &str,
     camera: v1::Camera,
 ) -> Result<v1::Session, Status> {
-    let request = v1::CreateSessionRequest { session_id: id.to_owned(), camera: Some(camera), options: None };
+    let request = v1::CreateSessionRequest {
+        session_id: id.to_owned(),
+        camera: Some(camera),
+        options: None,
+        mask: Vec::new(),
+    };
     Ok(client.create_session(request).await?.into_inner())
 }
 

@@ -15,6 +15,7 @@
 //!   them (LBD), [`lines::LineFlow`] follows one by optical flow, and [`lines::LineTracker`] does all of it
 //!   from image to image.
 //! * [`vanishing`]: vanishing points of segments (J-Linkage), found and followed, and the rotation they give.
+//! * [`mask`]: what of the images is not the scene, given or found, and how features keep away from it.
 //! * [`place::PlaceIndex`]: which stored images show the same place, for loop closure and relocalization.
 //!
 //! The crate knows nothing of cameras, maps or files: coordinates are pixels of the image as given
@@ -70,6 +71,7 @@ pub mod decode;
 mod grid;
 mod image;
 pub mod lines;
+pub mod mask;
 pub mod matching;
 pub mod orb;
 pub mod place;

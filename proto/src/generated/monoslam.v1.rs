@@ -43,6 +43,18 @@ pub struct SessionOptions {
     /// Whether focal length and principal point are put right as the map grows.
     #[prost(bool, optional, tag = "9")]
     pub refine_calibration: ::core::option::Option<bool>,
+    /// How far what is said of the camera is to be believed; left out, as if calibrated, or unknown where the camera is given by
+    /// its size alone.
+    #[prost(enumeration = "Calibration", tag = "10")]
+    pub calibration: i32,
+    /// Wide self-calibration: whether a calibration that the images contradict is given up for the camera that they show. Without
+    /// it the contradiction is told, and the calibration used as it was given.
+    #[prost(bool, optional, tag = "11")]
+    pub give_up_calibration: ::core::option::Option<bool>,
+    /// Whether what stays where it is in the image while the scene moves is found and left out: black borders, watermarks, a
+    /// car's bonnet. Not where a mask was given.
+    #[prost(bool, optional, tag = "12")]
+    pub find_mask: ::core::option::Option<bool>,
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Session {
@@ -97,6 +109,22 @@ pub struct Session {
     /// In the answer to SetScale only: what the scale was found from.
     #[prost(message, optional, tag = "20")]
     pub scale_measurement: ::core::option::Option<ScaleMeasurement>,
+    /// What of the images is left out as not being the scene. Absent while nothing is.
+    #[prost(message, optional, tag = "21")]
+    pub mask: ::core::option::Option<Mask>,
+    /// What is doubtful about the camera, in plain sentences.
+    #[prost(string, repeated, tag = "22")]
+    pub camera_warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+}
+/// What of a session's images is not the scene.
+#[derive(Clone, Copy, PartialEq, ::prost::Message)]
+pub struct Mask {
+    /// The share of the image, 0 to 1.
+    #[prost(double, tag = "1")]
+    pub share: f64,
+    /// It was given with the session; else it was found as what stays where it is while the scene moves.
+    #[prost(bool, tag = "2")]
+    pub given: bool,
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct CreateSessionRequest {
@@ -107,6 +135,9 @@ pub struct CreateSessionRequest {
     pub camera: ::core::option::Option<Camera>,
     #[prost(message, optional, tag = "3")]
     pub options: ::core::option::Option<SessionOptions>,
+    /// An image file of the camera's size, dark where nothing is to be used; left empty, what is not the scene is found.
+    #[prost(bytes = "vec", tag = "4")]
+    pub mask: ::prost::alloc::vec::Vec<u8>,
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct GetSessionRequest {
@@ -1097,6 +1128,41 @@ impl CameraModel {
             "CAMERA_MODEL_RADTAN" => Some(Self::Radtan),
             "CAMERA_MODEL_KANNALA_BRANDT" => Some(Self::KannalaBrandt),
             "CAMERA_MODEL_FOV" => Some(Self::Fov),
+            _ => None,
+        }
+    }
+}
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
+#[repr(i32)]
+pub enum Calibration {
+    Unspecified = 0,
+    /// The camera was calibrated: little is changed, and only what the images prove.
+    Given = 1,
+    /// Its focal length is known roughly, as from a field of view.
+    Approximate = 2,
+    /// Nothing is known but the size of the image.
+    Unknown = 3,
+}
+impl Calibration {
+    /// String value of the enum field names used in the ProtoBuf definition.
+    ///
+    /// The values are not transformed in any way and thus are considered stable
+    /// (if the ProtoBuf definition does not change) and safe for programmatic use.
+    pub fn as_str_name(&self) -> &'static str {
+        match self {
+            Self::Unspecified => "CALIBRATION_UNSPECIFIED",
+            Self::Given => "CALIBRATION_GIVEN",
+            Self::Approximate => "CALIBRATION_APPROXIMATE",
+            Self::Unknown => "CALIBRATION_UNKNOWN",
+        }
+    }
+    /// Creates an enum from field names used in the ProtoBuf definition.
+    pub fn from_str_name(value: &str) -> ::core::option::Option<Self> {
+        match value {
+            "CALIBRATION_UNSPECIFIED" => Some(Self::Unspecified),
+            "CALIBRATION_GIVEN" => Some(Self::Given),
+            "CALIBRATION_APPROXIMATE" => Some(Self::Approximate),
+            "CALIBRATION_UNKNOWN" => Some(Self::Unknown),
             _ => None,
         }
     }

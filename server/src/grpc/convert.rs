@@ -4,7 +4,7 @@ use crate::access::Caller;
 use crate::budget::Charge;
 use crate::error::{ApiError, FieldViolation};
 use crate::model::{Pose, Scale, Units};
-use crate::options::{SessionOptions, convert_options};
+use crate::options::{Calibration, SessionOptions, camera_warnings, convert_options};
 use crate::service::NewSession;
 use crate::session::{
     Answer, Before, Encoding, FrameOutcome, MapChange, Mode, OpenRequest, Policy, Rejection, Reply,
@@ -26,11 +26,12 @@ pub(super) fn new_session(
     caller: &Caller,
     request: v1::CreateSessionRequest,
 ) -> Result<NewSession, ApiError> {
-    let v1::CreateSessionRequest { session_id, camera, options } = request;
+    let v1::CreateSessionRequest { session_id, camera, options, mask } = request;
     let id = if session_id.is_empty() { None } else { Some(caller.session(&session_id, "session_id")?) };
     let camera = camera.ok_or_else(|| ApiError::invalid("camera", "a session needs a camera"))?;
     let options = options.map(SessionOptions::from).unwrap_or_default();
-    Ok(NewSession { id, camera: camera_parameters(camera)?, options })
+    let mask = (!mask.is_empty()).then(|| mask.into());
+    Ok(NewSession { id, camera: camera_parameters(camera)?, options, mask })
 }
 
 pub(super) fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, ApiError> {
@@ -50,8 +51,27 @@ pub(super) fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, 
     Ok(CameraParameters { model, width, height, fx, fy, cx, cy, distortion })
 }
 
-convert_options!(v1::SessionOptions => SessionOptions, with calibration = None);
-convert_options!(SessionOptions => v1::SessionOptions, without calibration);
+convert_options!(v1::SessionOptions => SessionOptions, from calibration = calibration_of);
+convert_options!(SessionOptions => v1::SessionOptions, from calibration = calibration_message);
+
+fn calibration_of(number: i32) -> Option<Calibration> {
+    match v1::Calibration::try_from(number).unwrap_or_default() {
+        v1::Calibration::Unspecified => None,
+        v1::Calibration::Given => Some(Calibration::Given),
+        v1::Calibration::Approximate => Some(Calibration::Approximate),
+        v1::Calibration::Unknown => Some(Calibration::Unknown),
+    }
+}
+
+fn calibration_message(calibration: Option<Calibration>) -> i32 {
+    let message = match calibration {
+        None => v1::Calibration::Unspecified,
+        Some(Calibration::Given) => v1::Calibration::Given,
+        Some(Calibration::Approximate) => v1::Calibration::Approximate,
+        Some(Calibration::Unknown) => v1::Calibration::Unknown,
+    };
+    message.into()
+}
 
 /// What a watcher is told; `None` for what only concerns others.
 pub(super) fn session_event(watched: Watched) -> Option<v1::SessionEvent> {
@@ -126,6 +146,8 @@ pub(super) fn session(view: &SessionView) -> v1::Session {
         refined_camera: view.refined_camera.as_ref().map(camera),
         damage: view.damage.clone(),
         scale_measurement: None,
+        mask: view.mask.map(|mask| v1::Mask { share: mask.share, given: mask.is_given }),
+        camera_warnings: camera_warnings(&view.camera),
     }
 }
 

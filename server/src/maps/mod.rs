@@ -10,6 +10,7 @@ mod export;
 mod graph;
 mod keyframes;
 mod lines;
+pub mod masks;
 mod observed;
 mod pictures;
 mod place;

@@ -82,7 +82,7 @@ fn shrunk(image: &GrayImage) -> GrayImage {
     vision::scale::resize_area(image, width, height as u32)
 }
 
-fn encode(image: &GrayImage) -> Option<Bytes> {
+pub(super) fn encode(image: &GrayImage) -> Option<Bytes> {
     let mut file = Vec::new();
     let mut encoder = Encoder::new(&mut file, image.width(), image.height());
     encoder.set_color(ColorType::Grayscale);

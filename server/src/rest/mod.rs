@@ -11,6 +11,7 @@ mod keyframes;
 mod lines;
 mod localize;
 mod map;
+mod masks;
 mod model;
 mod operations;
 mod place;
@@ -109,6 +110,7 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
         .routes(routes!(operations::list))
         .routes(routes!(operations::get))
         .routes(routes!(operations::cancel))
+        .routes(routes!(masks::get, masks::put, masks::delete).layer(DefaultBodyLimit::max(max_image_bytes)))
         .routes(routes!(scene::picture))
         .routes(routes!(events::events))
         .routes(routes!(stream::stream))

@@ -42,6 +42,9 @@ pub struct Session {
     pub refined_camera: Option<Camera>,
     /// The session's options.
     pub options: SessionOptions,
+    /// What of its images is left out as not being the scene, such as a black border; `null` while nothing
+    /// is.
+    pub mask: Option<Mask>,
     /// What is doubtful about the camera without keeping it from being used, in plain sentences.
     pub camera_warnings: Vec<String>,
     /// Wall-clock time of creation, nanoseconds since 1970.
@@ -83,6 +86,16 @@ pub struct Session {
     pub damage: Option<String>,
 }
 
+/// What of a session's images is not the scene.
+#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
+#[schema(as = SessionMask)]
+pub struct Mask {
+    /// The share of the image, 0 to 1.
+    pub share: f64,
+    /// It was given; else it was found as what stays where it is while the scene moves.
+    pub given: bool,
+}
+
 /// Some sessions in the order of their ids.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub struct SessionPage {
@@ -100,7 +113,7 @@ impl CreateSession {
     pub fn into_new_session(self, caller: &Caller) -> Result<NewSession, ApiError> {
         let id = self.id.filter(|id| !id.is_empty());
         let id = id.map(|id| caller.session(&id, "id")).transpose()?;
-        Ok(NewSession { id, camera: self.camera.into(), options: self.options })
+        Ok(NewSession { id, camera: self.camera.into(), options: self.options, mask: None })
     }
 }
 
@@ -112,6 +125,7 @@ impl From<SessionView> for Session {
             camera: view.camera.into(),
             refined_camera: view.refined_camera.map(Camera::from),
             options: view.options,
+            mask: view.mask.map(|mask| Mask { share: mask.share, given: mask.is_given }),
             created_at_ns: view.created_at_ns,
             created_at_ns_text: view.created_at_ns.to_string(),
             state: view.state.map(State::from),

@@ -9,7 +9,7 @@ use crate::options::engine_config_of;
 use crate::soundness::damaged;
 use geometry::Camera;
 use slam::map::FrameState;
-use slam::{MapUpdate, Pipeline, ResumeState, SlamConfig};
+use slam::{MapUpdate, Pipeline, ResumeState, SceneMask, SlamConfig};
 use std::sync::{Arc, Mutex, PoisonError};
 use store::{KeyframeImage, LoadedSession, SessionStatus, Store, StoredFrame};
 
@@ -106,6 +106,7 @@ pub fn resume(stored: StoredSession) -> Result<Pipeline, ApiError> {
 }
 
 /// The stored frames of one session.
+#[derive(Clone)]
 pub struct History {
     store: Store,
     id: SessionId,
@@ -119,6 +120,13 @@ impl History {
     /// If it cannot be stored.
     pub async fn begin_segment(&self, sequence: u64, ahead_ns: i64) -> Result<(), ApiError> {
         Ok(self.store.begin_segment(self.id.as_str(), sequence, ahead_ns).await?)
+    }
+
+    /// Saves what of the images is left out.
+    pub async fn save_mask(&self, mask: Option<SceneMask>) {
+        if let Err(error) = self.store.set_mask(self.id.as_str(), mask.as_ref()).await {
+            tracing::warn!(session.id = self.id.as_str(), "the mask that was found cannot be saved: {error}");
+        }
     }
 
     /// What came of a frame; `None` if it is not stored or cannot be read.

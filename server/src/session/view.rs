@@ -3,7 +3,7 @@
 use crate::options::SessionOptions;
 use geometry::CameraParameters;
 use slam::map::FrameState;
-use store::SessionRecord;
+use store::{MaskShare, SessionRecord};
 
 /// How a loaded session is doing, as of its last frame.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -22,6 +22,8 @@ pub struct Live {
     pub n_lines: usize,
     /// Global primitives in the map.
     pub n_primitives: usize,
+    /// What of the images is left out.
+    pub mask: Option<MaskShare>,
 }
 
 /// How a session in memory is doing.
@@ -42,6 +44,8 @@ pub struct SessionView {
     pub camera: CameraParameters,
     /// Its camera as it was found to be; `None` while it is used as it was given.
     pub refined_camera: Option<CameraParameters>,
+    /// What of its images is left out as not being the scene, if anything is.
+    pub mask: Option<MaskShare>,
     /// The session's options.
     pub options: SessionOptions,
     /// Wall-clock time of creation, nanoseconds since 1970.
@@ -94,6 +98,7 @@ impl SessionView {
             correction: _,
             options,
             enlarges_small_images: _,
+            mask,
             created_at_ns,
             state,
             metres_per_unit,
@@ -105,6 +110,7 @@ impl SessionView {
             id,
             camera,
             refined_camera,
+            mask,
             options: options.into(),
             created_at_ns,
             state: last_frame.map(|_| state),
@@ -143,6 +149,7 @@ impl SessionView {
             self.n_points = live.n_points as u64;
             self.n_lines = live.n_lines as u64;
             self.n_primitives = live.n_primitives as u64;
+            self.mask = live.mask;
         }
     }
 }

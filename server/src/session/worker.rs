@@ -18,13 +18,14 @@ use super::view::Live;
 use super::writer::Outbox;
 use crate::error::{ApiError, ErrorCode};
 use slam::map::FrameState;
-use slam::{FrameReport, Pipeline, TrackingOutcome};
+use slam::{FrameReport, Pipeline, SceneMask, TrackingOutcome};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use vision::decode::{DecodeLimits, SampleDepth};
 
@@ -124,6 +125,10 @@ pub struct Worker {
     depth: SampleDepth,
     /// Frames tracked since the session was loaded.
     n_frames: u64,
+    /// What of the images is left out, as it was saved last.
+    saved_mask: Option<SceneMask>,
+    /// That is being saved.
+    mask_saving: Option<JoinHandle<()>>,
     runtime: Handle,
 }
 
@@ -143,6 +148,7 @@ impl Worker {
         let Persistence { outbox, history, last_frame, ahead_ns } = persistence;
         let (recent, images) = (RecentAnswers::default(), CandidateImages::default());
         let (depth, n_frames) = (SampleDepth::default(), 0);
+        let saved_mask = pipeline.mask().cloned();
         Self {
             id,
             config,
@@ -157,6 +163,8 @@ impl Worker {
             images,
             depth,
             n_frames,
+            saved_mask,
+            mask_saving: None,
             runtime,
         }
     }
@@ -303,6 +311,7 @@ impl Worker {
             self.images.offer(sequence, sent.clone(), state, report.is_keyframe);
         }
         self.hand_over_updates(Pipeline::take_updates);
+        self.save_mask();
         self.publish(Some(state));
         let metres_per_unit = *self.ends.scale.borrow();
         // Where images are not to be kept, they are not shown either.
@@ -349,9 +358,27 @@ impl Worker {
         Reply::Repeated { sequence, timestamp_ns, before, durable_sequence, metres_per_unit }
     }
 
+    /// Saves what was found not to be the scene, beside everything else, one state at a time: should it be
+    /// lost, it is found again.
+    fn save_mask(&mut self) {
+        let is_busy = self.mask_saving.as_ref().is_some_and(|saving| !saving.is_finished());
+        if is_busy || self.pipeline.mask() == self.saved_mask.as_ref() {
+            return;
+        }
+        self.saved_mask = self.pipeline.mask().cloned();
+        let (history, mask) = (self.history.clone(), self.saved_mask.clone());
+        self.mask_saving = Some(self.runtime.spawn(async move { history.save_mask(mask).await }));
+    }
+
     /// Finishes what mapping has begun and waits until everything is saved.
     fn flush(&mut self) -> Result<(), ApiError> {
         self.hand_over_updates(Pipeline::finish);
+        for _ in 0..2 {
+            if let Some(saving) = self.mask_saving.take() {
+                let _ = self.runtime.block_on(saving);
+            }
+            self.save_mask();
+        }
         let state = self.ends.live.borrow().state;
         self.publish(state);
         self.runtime.block_on(self.outbox.flush())
@@ -379,6 +406,7 @@ impl Worker {
             n_points: map.n_points(),
             n_lines: map.n_lines(),
             n_primitives: map.n_primitives(),
+            mask: self.pipeline.mask().map(|known| known.into()),
         };
         self.ends.live.send_replace(live);
     }
@@ -421,7 +449,7 @@ fn record_frame(report: &FrameReport, queued_ns: u64) {
     let outcome = match report.outcome {
         TrackingOutcome::Initialising(_) => "initialising",
         TrackingOutcome::Tracked => "tracked",
-        TrackingOutcome::Weak { .. } => "weak",
+        TrackingOutcome::Weak { .. } | TrackingOutcome::CalibrationContradicted => "weak",
         TrackingOutcome::Lost(_) => "lost",
     };
     let seconds = |nanoseconds: u64| nanoseconds as f64 * 1e-9;

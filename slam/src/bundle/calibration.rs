@@ -74,7 +74,7 @@ pub(crate) struct Estimate {
     pub sigmas: CorrectionVector,
     /// How many times as large the variance is that those errors show, as it would be without correlation.
     pub inflation: f64,
-    /// Decrease of χ² against the present camera.
+    /// Decrease of χ² against the present camera, for errors as correlated as they turned out to be.
     pub gain: f64,
     poses: Vec<(KeyframeId, Pose)>,
     points: Vec<(PointId, Vector3<f64>)>,
@@ -206,6 +206,9 @@ impl<'a> Calibration<'a> {
         };
         let found = knowledge_of(self.problem.value(self.correction));
         let gain = 2.0 * (present_images + knowledge_of(&present) - found_images - found);
+        // What was gained counts for as much less as errors turned out to be more correlated than was
+        // thought.
+        let gain = gain * self.least_inflation() / inflation;
         (!aborted()).then(|| self.into_estimate(inflation, gain, sigmas))
     }
 
@@ -391,7 +394,7 @@ fn right_angles(map: &Map, submap: SubmapId, config: &CalibrationConfig) -> Vec<
 }
 
 /// Settles the free scale by the keyframe that is farthest from the origin.
-fn settle_scale(problem: &mut Problem, poses: &[(KeyframeId, VariableId<Pose>)]) {
+pub(super) fn settle_scale(problem: &mut Problem, poses: &[(KeyframeId, VariableId<Pose>)]) {
     let length_of = |variable| problem.value::<Pose>(variable).translation.norm();
     let farthest = poses
         .iter()

@@ -7,6 +7,7 @@ pub mod factors;
 #[cfg(test)]
 mod gauge_tests;
 pub(crate) mod global;
+pub(crate) mod held_out;
 pub(crate) mod local;
 mod primitive_terms;
 pub(crate) mod scatter;

@@ -112,6 +112,13 @@ pub struct CalibrationConfig {
     /// Decrease of χ² from which on one look is enough. Default 40: twice what any camera that was as given
     /// brought.
     pub certain_gain: f64,
+    /// The same only where errors of keypoints are correlated by no more than this. Default 4: more is
+    /// something that no camera describes, such as a rolling shutter, and looks have to agree.
+    /// `phone_desk_first100`: 6 to 8, `kitti_snippet_2`: 2.
+    pub most_certain_inflation: f64,
+    /// Decrease of χ² in keyframes left out of the fit from which on they speak for the camera too. Default
+    /// 2.
+    pub min_held_out_gain: f64,
     /// Squared distance of the camera that fits best from the calibration, in standard deviations of both,
     /// from which on two looks in a row need not agree on it to contradict the calibration. Default 100: they
     /// agree that the calibration is that far off.
@@ -160,6 +167,21 @@ impl CalibrationConfig {
                  be in pixels of an image of {width} x {height}, not in millimetres"
             )
         })
+    }
+
+    /// The camera to begin with where this one was given, and how it is looked at: one that is doubtful by
+    /// its numbers alone is looked at early and often, and not used at all where the images may correct it.
+    #[must_use]
+    pub fn begin_with(self, camera: CameraParameters) -> (CameraParameters, Self) {
+        if self.trust != CalibrationTrust::Given || self.suspicion(&camera).is_none() {
+            return (camera, self);
+        }
+        if self.wide {
+            let camera = self.camera_of_size(camera.width, camera.height);
+            return (camera, Self { trust: CalibrationTrust::Unknown, ..self });
+        }
+        let (min_keyframes, growth) = (self.min_keyframes_while_unknown, self.growth_while_unknown);
+        (camera, Self { min_keyframes, growth, ..self })
     }
 
     /// The camera to begin with where nothing is known but the size of its image.
@@ -251,6 +273,8 @@ impl Default for CalibrationConfig {
             min_gain: 10.0,
             min_given_sigmas: 2.0,
             certain_gain: 40.0,
+            most_certain_inflation: 4.0,
+            min_held_out_gain: 2.0,
             gross_contradiction: 100.0,
             undetermined_focal_sigma: 0.1,
             undetermined_keyframes: 15,

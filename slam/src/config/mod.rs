@@ -54,11 +54,20 @@ pub struct FeatureSwitches {
     /// Self-calibration: focal length and principal point are checked and refined as the map grows. Default
     /// on.
     pub refine_calibration: bool,
+    /// What stays where it is in the image while the scene moves is found and left out: black borders,
+    /// watermarks, a car's bonnet. Default on.
+    pub find_mask: bool,
 }
 
 impl Default for FeatureSwitches {
     fn default() -> Self {
-        Self { lines: true, global_primitives: true, loop_closing: true, refine_calibration: true }
+        Self {
+            lines: true,
+            global_primitives: true,
+            loop_closing: true,
+            refine_calibration: true,
+            find_mask: true,
+        }
     }
 }
 

@@ -10,6 +10,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use vision::GrayImage;
 use vision::lines::LineTrackingStatistics;
+use vision::mask::Clearance;
 
 /// The stage's name in reports.
 const STAGE: &str = "lines";
@@ -32,6 +33,7 @@ pub(super) struct LineThread {
 
 enum Job {
     SetCamera(Box<Camera>),
+    SetClearance(Option<Arc<Clearance>>),
     Extract {
         image: Arc<GrayImage>,
         /// Rotation since the last image, as far as it is known.
@@ -55,6 +57,7 @@ impl LineStage {
             for job in incoming {
                 match job {
                     Job::SetCamera(camera) => lines.set_camera(&camera),
+                    Job::SetClearance(clearance) => lines.set_clearance(clearance),
                     Job::Extract { image, now_from_last, clock } => {
                         let start_ns = clock.wall_ns();
                         let extracted = lines.extract(&image, now_from_last);
@@ -73,6 +76,14 @@ impl LineStage {
         match self {
             Self::Inline(lines) => lines.set_camera(camera),
             Self::Background(thread) => thread.send(Job::SetCamera(Box::new(camera.clone()))),
+        }
+    }
+
+    /// Keeps segments clear of what is left out of the images.
+    pub fn set_clearance(&mut self, clearance: Option<Arc<Clearance>>) {
+        match self {
+            Self::Inline(lines) => lines.set_clearance(clearance),
+            Self::Background(thread) => thread.send(Job::SetClearance(clearance)),
         }
     }
 

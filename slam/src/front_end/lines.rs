@@ -4,11 +4,13 @@ use crate::config::{ConfigError, LineConfig, SlamConfig};
 use crate::features::{LineFeature, straighten};
 use geometry::nalgebra::{UnitQuaternion, Vector2};
 use geometry::{Camera, CameraCorrection};
+use std::sync::Arc;
 use vision::GrayImage;
 use vision::lines::{
     LineOrigin, LineTracker, LineTrackerConfig, LineTrackingStatistics, Segment, SegmentDetector,
     TrackedLine, detector,
 };
+use vision::mask::Clearance;
 
 /// Flow moves a segment less precisely than a detector finds it. [method: Line tracking by optical flow]
 const FLOW_SIGMA_FACTOR: f64 = 1.5;
@@ -23,6 +25,8 @@ pub(super) struct LineFrontEnd {
     detector: Box<dyn SegmentDetector>,
     tracker: LineTracker,
     first_track: u64,
+    /// How far pixels are from what is not the scene, if anything is not.
+    clearance: Option<Arc<Clearance>>,
 }
 
 impl LineFrontEnd {
@@ -39,6 +43,7 @@ impl LineFrontEnd {
             detector,
             tracker,
             first_track,
+            clearance: None,
         })
     }
 
@@ -46,22 +51,37 @@ impl LineFrontEnd {
         self.camera = camera.clone();
     }
 
+    /// Leaves out segments along or inside of what is not the scene, and the parts of others that are.
+    pub fn set_clearance(&mut self, clearance: Option<Arc<Clearance>>) {
+        self.clearance = clearance;
+    }
+
     pub fn extract(
         &mut self,
         image: &GrayImage,
         now_from_last: Option<UnitQuaternion<f64>>,
     ) -> (Vec<LineFeature>, LineTrackingStatistics) {
-        let detected = self.detector.detect(image);
+        let mut detected = self.detector.detect(image);
+        let size = (image.width(), image.height());
+        let clearance = self.clearance.as_deref().filter(|clearance| clearance.size() == size);
+        if let Some(clearance) = clearance {
+            detected = detected.iter().filter_map(|segment| clearance.visible_part(segment)).collect();
+        }
         let camera = &self.camera;
         let turned = now_from_last.map(|rotation| move |pixel| turn(camera, &rotation, &pixel));
         let prior = turned.as_ref().map(|turned| turned as &dyn Fn(Vector2<f32>) -> Vector2<f32>);
         let tracked = self.tracker.track(image, detected, prior);
-        let lines = tracked.lines.iter().filter_map(|line| self.feature(line)).collect();
+        let lines = tracked.lines.iter().filter_map(|line| self.feature(line, clearance)).collect();
         (lines, tracked.statistics)
     }
 
-    fn feature(&self, line: &TrackedLine) -> Option<LineFeature> {
-        let (start, end, bow_px) = undistort(&line.segment, &self.nominal)?;
+    fn feature(&self, line: &TrackedLine, clearance: Option<&Clearance>) -> Option<LineFeature> {
+        // Flow may lead a segment on to what is left out.
+        let visible = match clearance {
+            Some(clearance) => clearance.visible_part(&line.segment)?,
+            None => line.segment,
+        };
+        let (start, end, bow_px) = undistort(&visible, &self.nominal)?;
         let factor = if line.origin == LineOrigin::Flowed { FLOW_SIGMA_FACTOR } else { 1.0 };
         let sigma_px = f64::from(line.segment.sigma_px).hypot(bow_px).max(self.config.min_sigma_px) * factor;
         let track = self.first_track + line.track;

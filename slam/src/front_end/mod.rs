@@ -3,17 +3,21 @@
 
 mod line_stage;
 mod lines;
+mod scene_mask;
 mod weak_texture;
 
 use crate::clock::Stopwatch;
 use crate::config::{ConfigError, SlamConfig, Threading};
 use crate::features::FrameFeatures;
+use crate::input::SceneMask;
 use geometry::nalgebra::UnitQuaternion;
 use geometry::{Camera, CameraCorrection};
 use line_stage::LineStage;
 use lines::LineFrontEnd;
+use scene_mask::MaskStage;
 use std::sync::Arc;
 use vision::lines::LineTrackingStatistics;
+use vision::mask::Clearance;
 use vision::scale::BilinearResizer;
 use vision::{GrayImage, OrbExtractor, scale};
 use weak_texture::WeakTexture;
@@ -29,23 +33,59 @@ pub(crate) struct FrontEnd {
     weak_texture: WeakTexture,
     /// Absent where lines are switched off.
     lines: Option<LineStage>,
+    mask: MaskStage,
 }
 
 impl FrontEnd {
-    /// `first_track` is the lowest number that a track of lines may get.
-    pub fn new(config: &SlamConfig, camera: &Camera, first_track: u64) -> Result<Self, ConfigError> {
+    /// `first_track` is the lowest number that a track of lines may get, `mask` what was known not to be the
+    /// scene.
+    pub fn new(
+        config: &SlamConfig,
+        camera: &Camera,
+        first_track: u64,
+        mask: Option<SceneMask>,
+    ) -> Result<Self, ConfigError> {
         let extractor = OrbExtractor::new(config.orb)
             .map_err(|error| ConfigError { field: "orb", reason: error.to_string() })?;
         let camera = config.working_camera(camera).with_correction(CameraCorrection::default());
         let lines = config.features.lines.then(|| line_stage(config, &camera, first_track)).transpose()?;
         let weak_texture = WeakTexture::new(config);
-        Ok(Self { camera, config: config.clone(), extractor, weak_texture, lines })
+        let mask = MaskStage::new(mask, config.features.find_mask);
+        let mut front_end = Self { camera, config: config.clone(), extractor, weak_texture, lines, mask };
+        front_end.use_mask();
+        Ok(front_end)
     }
 
     /// Takes over how the camera differs from its calibration.
     pub fn correct_camera(&mut self, correction: CameraCorrection) {
         if let Some(lines) = &mut self.lines {
             lines.set_camera(&self.camera.with_correction(correction));
+        }
+    }
+
+    /// Looks at an image for what is not the scene, and leaves it out from now on. Returns whether that has
+    /// changed.
+    pub fn look_for_mask(&mut self, image: &GrayImage) -> bool {
+        let has_changed = self.mask.look(image);
+        if has_changed {
+            self.use_mask();
+        }
+        has_changed
+    }
+
+    /// What is left out of the images at present.
+    pub fn mask(&self) -> Option<&SceneMask> {
+        self.mask.mask()
+    }
+
+    fn use_mask(&mut self) {
+        let clearance = self.mask.mask().map(|known| {
+            let mask = known.mask.resized(self.camera.width(), self.camera.height());
+            Arc::new(Clearance::of(&mask))
+        });
+        self.extractor.set_clearance(clearance.clone());
+        if let Some(lines) = &mut self.lines {
+            lines.set_clearance(clearance);
         }
     }
 
@@ -82,7 +122,7 @@ impl FrontEnd {
         now_from_last: Option<UnitQuaternion<f64>>,
         stopwatch: &mut Stopwatch,
     ) -> (FrameFeatures, LineTrackingStatistics) {
-        let Self { camera, config, extractor, weak_texture, lines } = self;
+        let Self { camera, config, extractor, weak_texture, lines, mask: _ } = self;
         let pyramid = config.pyramid();
         let extract_points =
             || FrameFeatures::from_extracted(weak_texture.extract(extractor, image), camera, pyramid);

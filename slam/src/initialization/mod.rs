@@ -81,6 +81,11 @@ impl Initializer {
         attempt
     }
 
+    /// Begins anew with the next view.
+    pub fn forget_views(&mut self) {
+        self.views.clear();
+    }
+
     /// Keeps a view. When there are too many every second one goes, so that a slow camera can still look far
     /// back.
     fn keep(&mut self, view: View) {

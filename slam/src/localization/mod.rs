@@ -225,7 +225,7 @@ impl Localizer {
         is_own: bool,
         stopwatch: &mut Stopwatch,
     ) -> Result<(View, LineTrackingStatistics), ResumeError> {
-        let mut front_end = FrontEnd::new(config, camera, 0)?;
+        let mut front_end = FrontEnd::new(config, camera, 0, None)?;
         if is_own {
             front_end.correct_camera(self.map.correction());
         }

@@ -3,6 +3,7 @@
 
 use crate::bundle::calibration::{Calibration, Estimate, Knowledge};
 use crate::bundle::global::{GlobalResult, adjust_to_camera};
+use crate::bundle::held_out::hold_out;
 use crate::config::{CalibrationConfig, CalibrationTrust, SlamConfig};
 use crate::features::FrameFeatures;
 use crate::map::{Map, SubmapId};
@@ -50,6 +51,8 @@ struct Doubt {
     contradiction: Option<CameraCorrection>,
     /// Whether that is so far off that it does not matter what the camera is instead.
     is_gross: bool,
+    /// Keyframes it was found by.
+    n_keyframes: usize,
 }
 
 /// What a look at the camera came to.
@@ -202,7 +205,8 @@ impl Look<'_> {
         let distance = squared_distance(&wide, config);
         let contradiction = (distance > chi2_95(3)).then_some(wide.correction);
         let is_gross = distance > config.gross_contradiction;
-        let doubt = Doubt { correction: held.correction, contradiction, is_gross };
+        let n_keyframes = self.map.n_keyframes();
+        let doubt = Doubt { correction: held.correction, contradiction, is_gross, n_keyframes };
         let before = before.doubt;
         if let Some(correction) =
             contradiction.filter(|_| before.is_some_and(|before| doubt.is_contradicted_as(&before, config)))
@@ -216,13 +220,35 @@ impl Look<'_> {
             let event = Some(MapEvent::CalibrationContradicted { correction });
             return Some(IntrinsicsCheck { event, adjusted, is_over: true, ..nothing });
         }
-        let agreed = before.is_some_and(|before| agree(&before.correction, &held.correction, config));
-        if contradiction.is_none() && (held.gain >= config.certain_gain || agreed) {
+        // Two looks at nearly the same keyframes agree whatever they find.
+        let has_grown = |before: &Doubt| n_keyframes as f64 >= before.n_keyframes as f64 * config.growth;
+        let agreed = before
+            .filter(has_grown)
+            .is_some_and(|before| agree(&before.correction, &held.correction, config));
+        let is_certain = held.gain >= config.certain_gain && held.inflation <= config.most_certain_inflation;
+        let is_meant = contradiction.is_none() && (is_certain || agreed);
+        if is_meant && self.holds_elsewhere(&held.correction)? {
             let (correction, focal_sigma) = (held.correction, held.focal_sigma());
             let event = Some(MapEvent::CalibrationRefined { correction, focal_sigma });
             return Some(IntrinsicsCheck { event, adjusted: Some(self.adjust(Some(&held))?), ..nothing });
         }
+        let doubt = before.filter(|before| !has_grown(before) && !is_gross).unwrap_or(doubt);
         Some(IntrinsicsCheck { memory: Memory { doubt: Some(doubt), ..Memory::default() }, ..nothing })
+    }
+
+    /// Whether keyframes that it was not fitted to speak for a camera as well: fitted to the others alone it
+    /// is much the same, and explains them better than the present one. `None` if `abort` was set meanwhile.
+    fn holds_elsewhere(&self, correction: &CameraCorrection) -> Option<bool> {
+        let aborted = || self.abort.load(Ordering::Relaxed);
+        let config = &self.config.calibration;
+        let held_out = hold_out(self.map, self.submap, config, aborted);
+        if aborted() {
+            return None;
+        }
+        tracing::debug!(?held_out, "what keyframes left out of the fit say of the camera");
+        Some(held_out.is_some_and(|held_out| {
+            held_out.gain >= config.min_held_out_gain && agree(&held_out.correction, correction, config)
+        }))
     }
 
     fn estimate(&self, knowledge: Knowledge, search: bool) -> Option<Estimate> {
@@ -287,7 +313,7 @@ mod tests {
     /// A look that wants another focal length, by so much.
     fn doubt(focal: f64) -> Doubt {
         let correction = CameraCorrection { focal, ..CameraCorrection::default() };
-        Doubt { correction, contradiction: Some(correction), is_gross: false }
+        Doubt { correction, contradiction: Some(correction), is_gross: false, n_keyframes: 10 }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::clock::Clock;
 use crate::config::{ConfigError, SlamConfig, Threading};
 use crate::front_end::{CameraState, FrontEnd};
 use crate::initialization::Initializer;
-use crate::input::{ResumeError, ResumeState};
+use crate::input::{ResumeError, ResumeState, SceneMask};
 use crate::map::{Map, MapUpdate};
 use crate::mapping::Mapper;
 use crate::mapping::stage::MappingStage;
@@ -42,7 +42,7 @@ impl Pipeline {
         // Numbers of tracks begin anew with each run and must not meet those of stored keyframes.
         let segments = map.keyframes().flat_map(|keyframe| &keyframe.features.lines);
         let first_track = segments.map(|segment| segment.track + 1).max().unwrap_or(0);
-        let mut front_end = FrontEnd::new(&config, &camera, first_track)?;
+        let mut front_end = FrontEnd::new(&config, &camera, first_track, state.mask)?;
         front_end.correct_camera(map.correction());
         let mapper = Mapper::new(config.clone(), map.clone())?;
         let mapping = match config.threading {
@@ -71,6 +71,7 @@ impl Pipeline {
             map: Arc::new(map),
             last_frame: state.last_frame,
             last_view: None,
+            is_camera_wrong: false,
             mapping_enabled: true,
             lossless: true,
             rolling_shutter,
@@ -118,6 +119,11 @@ impl Pipeline {
     /// The newest consistent state of the map.
     pub fn map(&self) -> Arc<Map> {
         self.mapping.newest_map()
+    }
+
+    /// What of the camera's images is left out because it is not the scene.
+    pub fn mask(&self) -> Option<&SceneMask> {
+        self.front_end.mask()
     }
 
     /// What the last frame measured and what of it was recognized; `None` before the first.

@@ -47,6 +47,7 @@ pub(crate) fn is_certain_enough(outcome: &TrackingOutcome, config: &TrackingConf
         TrackingOutcome::Weak { uncertainty, .. } => {
             is_within(uncertainty, config.keyframe_sigma_factor, config)
         }
+        TrackingOutcome::CalibrationContradicted => true,
         TrackingOutcome::Initialising(_) | TrackingOutcome::Lost(_) => false,
     }
 }

@@ -38,6 +38,12 @@ pub struct SessionOptions {
     /// How far what was said of the camera is to be believed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<Calibration>,
+    /// Whether a calibration that the images contradict is given up for what they say.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub give_up_calibration: Option<bool>,
+    /// Whether what is not the scene is looked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub find_mask: Option<bool>,
 }
 
 /// How far what was said of a camera is to be believed.

@@ -2,9 +2,11 @@
 
 mod json;
 
+use crate::mask::write_mask;
 use crate::number::{from_column, from_column_u32, to_column};
 use crate::{Page, Store, StoreError};
 use geometry::{Camera, CameraCorrection, CameraParameters};
+use slam::SceneMask;
 use slam::map::{FrameState, LastIds};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
@@ -24,6 +26,8 @@ pub struct NewSession {
     pub options: SessionOptions,
     /// Wall-clock time of creation, nanoseconds since 1970.
     pub created_at_ns: i64,
+    /// What of its images is not the scene, if that is known.
+    pub mask: Option<SceneMask>,
 }
 
 /// A stored session.
@@ -40,6 +44,8 @@ pub struct SessionRecord {
     /// Whether small images are worked on enlarged (`SlamConfig::enlarge_below_px`): not in sessions that
     /// were made before that was done, whose keyframes hold the pixels of images as they were.
     pub enlarges_small_images: bool,
+    /// What of its images is left out as not being the scene, if anything is.
+    pub mask: Option<MaskShare>,
     /// Wall-clock time of creation, nanoseconds since 1970.
     pub created_at_ns: i64,
     /// How tracking the last stored frame ended.
@@ -50,6 +56,15 @@ pub struct SessionRecord {
     pub last_frame: Option<(u64, i64)>,
     /// How many things the session has.
     pub counts: SessionCounts,
+}
+
+/// How much of a session's images is left out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MaskShare {
+    /// The share of the image, 0 to 1.
+    pub share: f64,
+    /// Whether it was given, and not found.
+    pub is_given: bool,
 }
 
 /// How many things a session has.
@@ -99,6 +114,10 @@ impl Store {
         .await?;
         if inserted.rows_affected() == 0 {
             return Err(StoreError::SessionExists { id: new.id.clone() });
+        }
+        if let Some(mask) = &new.mask {
+            let number = session_number(&mut transaction, &new.id).await?;
+            write_mask(&mut transaction, number, Some(mask)).await?;
         }
         let record = read_session(&mut transaction, &new.id).await?.1;
         transaction.commit().await?;
@@ -224,6 +243,12 @@ impl Store {
     }
 }
 
+impl From<&SceneMask> for MaskShare {
+    fn from(known: &SceneMask) -> Self {
+        Self { share: known.mask.share(), is_given: known.is_given }
+    }
+}
+
 impl SessionRecord {
     /// The camera as it was given, checked again.
     ///
@@ -280,6 +305,10 @@ pub(crate) fn parse_session(row: &SqliteRow) -> Result<(i64, SessionRecord), Sto
         },
         options: json::decode_options(row.try_get("options")?)?,
         enlarges_small_images: row.try_get("enlarges_small_images")?,
+        mask: match row.try_get("mask_share")? {
+            Some(share) => Some(MaskShare { share, is_given: row.try_get("mask_given")? }),
+            None => None,
+        },
         created_at_ns: row.try_get("created_at_ns")?,
         state: parse_state(row.try_get("state")?)?,
         metres_per_unit: row.try_get("metres_per_unit")?,

@@ -14,8 +14,10 @@ mod spread;
 #[cfg(test)]
 mod tests;
 
+use crate::mask::Clearance;
 use crate::{GrayImage, Pyramid};
 use fast::Corner;
+use std::sync::Arc;
 
 /// A described place in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -141,6 +143,14 @@ impl Default for OrbConfig {
     }
 }
 
+/// Whether the patch of a corner found in a level, whose pixels are `scale` pixels of the image wide and
+/// high, is clear of what is left out.
+fn is_clear(clearance: &Clearance, corner: &Corner, scale: [f32; 2]) -> bool {
+    let full = |at: u16, scale: f32| ((f32::from(at) + 0.5) * scale - 0.5).round().max(0.0) as u32;
+    let distance = clearance.at(full(corner.x, scale[0]), full(corner.y, scale[1]));
+    f32::from(distance) >= (MIN_EDGE_MARGIN_PX as f32 * scale[0].max(scale[1])).min(f32::from(u8::MAX))
+}
+
 /// Radius of the patch that orientation and descriptor look at, pixels of the keypoint's level.
 pub(crate) const PATCH_RADIUS_PX: u32 = 15;
 const MIN_EDGE_MARGIN_PX: u32 = PATCH_RADIUS_PX + 1;
@@ -223,6 +233,8 @@ pub struct OrbExtractor {
     blurred: Vec<GrayImage>,
     refiner: refine::Refiner,
     tests: brief::SteeredTests,
+    /// How far pixels are from what is not to be used, if anything is not.
+    clearance: Option<Arc<Clearance>>,
 }
 
 impl OrbExtractor {
@@ -239,6 +251,7 @@ impl OrbExtractor {
             blurred: vec![GrayImage::default(); config.n_levels],
             refiner: refine::Refiner::new(),
             tests: brief::SteeredTests::new(),
+            clearance: None,
         })
     }
 
@@ -250,6 +263,12 @@ impl OrbExtractor {
     /// Changes the number of features wanted, for example while a map is being initialized.
     pub fn set_n_features(&mut self, n_features: usize) {
         self.config.n_features = n_features;
+    }
+
+    /// Keeps the patches of keypoints clear of what a mask of the images leaves out, as of their edges. A
+    /// mask for images of another size than those extracted is not heeded.
+    pub fn set_clearance(&mut self, clearance: Option<Arc<Clearance>>) {
+        self.clearance = clearance;
     }
 
     /// Standard deviation of a keypoint's position: see [`OrbConfig::level_sigma_px`].
@@ -269,10 +288,19 @@ impl OrbExtractor {
             return features;
         }
         self.pyramid.build(image);
+        let size = (image.width(), image.height());
+        let clearance = self.clearance.as_deref().filter(|clearance| clearance.size() == size);
         let levels = self.pyramid.levels().iter().zip(&mut self.corners).zip(&mut self.blurred);
         for ((level_image, corners), blurred) in levels {
             corners.clear();
             self.detector.detect(level_image, &self.config, corners);
+            if let Some(clearance) = clearance {
+                let scale = [
+                    image.width() as f32 / level_image.width() as f32,
+                    image.height() as f32 / level_image.height() as f32,
+                ];
+                corners.retain(|corner| is_clear(clearance, corner, scale));
+            }
             self.blur.apply(level_image, blurred);
             if self.config.refine_corners {
                 let shift =

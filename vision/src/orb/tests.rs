@@ -154,3 +154,24 @@ fn descriptors_survive_bytes_and_measure_bits() {
     assert_eq!(Descriptor([0; 4]).distance(&Descriptor([u64::MAX; 4])), 256);
     assert!(a.bit(0) && !a.bit(1) && a.bit(65) && a.bit(255));
 }
+
+#[test]
+fn keypoints_keep_clear_of_what_is_left_out() {
+    use crate::mask::{Clearance, Mask};
+    let hash = |x: u32, y: u32| (x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77)) >> 13;
+    let image =
+        GrayImage::from_fn(320, 240, |x, y| if x < 100 { 0 } else { (40 + hash(x / 8, y / 8) % 160) as u8 });
+    let mut extractor = OrbExtractor::new(OrbConfig::default()).unwrap();
+    let leftmost = |features: &Features| {
+        let places = features.keypoints.iter().map(|keypoint| keypoint.x);
+        places.fold(f32::INFINITY, f32::min)
+    };
+    assert!(leftmost(&extractor.extract(&image)) < 105.0, "the frame's own edge has corners");
+    let mask = Mask::from_fn(320, 240, |x, _| x < 100);
+    extractor.set_clearance(Some(std::sync::Arc::new(Clearance::of(&mask))));
+    let features = extractor.extract(&image);
+    assert!(features.len() > 200 && leftmost(&features) > 113.0, "{}", leftmost(&features));
+    let small = Clearance::of(&mask.resized(160, 120));
+    extractor.set_clearance(Some(std::sync::Arc::new(small)));
+    assert!(leftmost(&extractor.extract(&image)) < 105.0, "a mask of other images is not heeded");
+}

@@ -18,6 +18,9 @@ const UNKNOWN: &str = "unknown";
 /// is computed with it.
 const STAND_IN_FOV_DEG: f64 = 65.0;
 
+/// The picture, beside a recording or a video, of what of its images is not to be used.
+const MASK: &str = "mask.png";
+
 /// The calibration beside a video.
 const CALIBRATION: &str = "calib.json";
 
@@ -42,6 +45,10 @@ pub struct InputArgs {
     /// Standard input is gray pixels, a byte each, in images of this size
     #[arg(long, value_name = "WxH", value_parser = image_size)]
     raw: Option<(u32, u32)>,
+    /// A picture of the size of the images, dark where nothing of them is to be used, such as a border or a
+    /// bonnet [default: mask.png beside the recording; else that is found while the camera moves]
+    #[arg(long, value_name = "FILE")]
+    mask: Option<PathBuf>,
     /// Topic of the images in an MCAP file or bag [default: the only one]
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
@@ -74,6 +81,10 @@ pub struct Input {
     pub source: Arc<dyn FrameSource>,
     /// The camera that took them.
     pub camera: CameraParameters,
+    /// Whether its focal length is known roughly, by a field of view.
+    pub is_approximate: bool,
+    /// The file of a picture that is dark where nothing of its images is to be used.
+    pub mask: Option<Vec<u8>>,
     /// Whether the times of its frames were made from the rate that was given.
     pub is_timed_by_rate: bool,
     /// The source, if it is read in turn.
@@ -102,7 +113,9 @@ impl Input {
 
 /// Opens what the arguments name. `fps` is the rate of images that come without times.
 pub fn open(args: &InputArgs, fps: Option<f64>) -> Result<Input> {
-    let input = open_any(args, fps)?;
+    let mut input = open_any(args, fps)?;
+    input.is_approximate = args.fov.is_some();
+    input.mask = mask(args)?;
     let warnings = if server::is_of_size_alone(&input.camera) {
         Vec::new()
     } else {
@@ -112,6 +125,18 @@ pub fn open(args: &InputArgs, fps: Option<f64>) -> Result<Input> {
         eprintln!("{}: {warning}", input.name);
     }
     Ok(input)
+}
+
+/// The mask that is given, or lies beside the recording.
+fn mask(args: &InputArgs) -> Result<Option<Vec<u8>>> {
+    let beside = || {
+        let source = args.source.as_deref()?;
+        let folder = if is_folder(source) { find_folder(source).ok()? } else { source.parent()?.to_owned() };
+        Some(folder.join(MASK)).filter(|path| path.is_file())
+    };
+    let Some(path) = args.mask.clone().or_else(beside) else { return Ok(None) };
+    let file = std::fs::read(&path).with_context(|| format!("{}", path.display()))?;
+    Ok(Some(file))
 }
 
 fn open_any(args: &InputArgs, fps: Option<f64>) -> Result<Input> {
@@ -149,7 +174,15 @@ fn open_any(args: &InputArgs, fps: Option<f64>) -> Result<Input> {
     let given = Given { file: calibration.map(PathBuf::as_path), fov_deg: args.fov, recorded };
     let camera = given.camera(path, &name, size)?;
     let is_timed_by_rate = false;
-    Ok(Input { name, source: sequential.clone(), camera, is_timed_by_rate, sequential: Some(sequential) })
+    Ok(Input {
+        name,
+        source: sequential.clone(),
+        camera,
+        is_approximate: false,
+        mask: None,
+        is_timed_by_rate,
+        sequential: Some(sequential),
+    })
 }
 
 /// Whether the path is not one of the sources that are read in turn.
@@ -161,34 +194,60 @@ fn is_folder(path: &Path) -> bool {
 fn open_folder(path: &Path, args: &InputArgs, fps: Option<f64>, calibration: Option<&Path>) -> Result<Input> {
     let folder = find_folder(path)?;
     let name = name(path);
-    let is_unknown = calibration == Some(Path::new(UNKNOWN));
+    let is_given = calibration.is_some() || args.fov.is_some();
+    let is_nobodys = !is_given && brings_no_calibration(&folder);
+    let is_unknown = is_nobodys || calibration == Some(Path::new(UNKNOWN));
     let camera_of_size = |(width, height): (u32, u32)| -> Result<Camera, FileError> {
         let given = Given { file: calibration, fov_deg: args.fov, recorded: None };
         let refused =
             |error: anyhow::Error| FileError::Content { path: folder.clone(), message: format!("{error:#}") };
-        let camera = given.camera(&folder.join("images"), &name, (width, height)).map_err(refused)?;
-        let stand_in = || from_field_of_view(STAND_IN_FOV_DEG, width, height);
-        let camera = if is_unknown { stand_in() } else { camera };
+        let camera = if is_unknown {
+            from_field_of_view(STAND_IN_FOV_DEG, width, height)
+        } else {
+            given.camera(&folder.join("images"), &name, (width, height)).map_err(refused)?
+        };
         Camera::new(camera).map_err(|error| refused(error.into()))
     };
-    let is_given = calibration.is_some() || args.fov.is_some();
     let options = OpenOptions {
         layout: args.layout,
         fps,
         times: args.times,
         sort: args.sort,
         skip_bad: args.skip_bad,
-        camera: is_given.then_some(&camera_of_size as CameraOfSize<'_>),
+        camera: (is_given || is_nobodys).then_some(&camera_of_size as CameraOfSize<'_>),
     };
     let recording = Recording::open_with(&folder, &options)?;
     for remark in &recording.remarks {
         eprintln!("{remark}");
     }
+    if is_nobodys {
+        eprintln!(
+            "{name} has no {CALIBRATION}: its camera is found as the map grows; --camera FILE gives a calibration, \
+             --fov DEG a field of view"
+        );
+    }
     let camera = recording.camera.parameters().clone();
     let camera = if is_unknown { of_size(camera.width, camera.height) } else { camera };
     let is_timed_by_rate = recording.layout == Layout::Pictures || args.times == Some(TimeUnit::Frames);
     let name = recording.name.clone();
-    Ok(Input { name, source: Arc::new(recording), camera, is_timed_by_rate, sequential: None })
+    Ok(Input {
+        name,
+        source: Arc::new(recording),
+        camera,
+        is_approximate: false,
+        mask: None,
+        is_timed_by_rate,
+        sequential: None,
+    })
+}
+
+/// Whether a folder is one of pictures whose camera nobody has described: other layouts bring calibrations or
+/// have published ones.
+fn brings_no_calibration(folder: &Path) -> bool {
+    let is_there = |name: &str| folder.join(name).exists();
+    let known = [CALIBRATION, "calib.txt", "mav0", "cam0", "intrinsic", "associations.txt", "cameras.txt"];
+    let is_published = Recording::open(folder, None).is_ok();
+    !known.into_iter().any(is_there) && !is_published
 }
 
 fn open_bag(bag: Bag) -> Result<Sequential> {

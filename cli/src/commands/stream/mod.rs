@@ -81,6 +81,12 @@ pub struct OptionArgs {
     /// Take the calibration as it is given, whatever the images say
     #[arg(long)]
     no_calibration: bool,
+    /// Give the calibration up for the camera that the images show, where they contradict it
+    #[arg(long, conflicts_with = "no_calibration")]
+    wide_calibration: bool,
+    /// Do not look for what stays in the image while the scene moves, such as borders and watermarks
+    #[arg(long)]
+    no_mask: bool,
     /// Run every stage in turn: the same frames and seed give the same map
     #[arg(long)]
     pub deterministic: bool,
@@ -103,6 +109,8 @@ impl OptionArgs {
             global_primitives: self.no_primitives.then_some(false),
             loop_closing: self.no_loops.then_some(false),
             refine_calibration: self.no_calibration.then_some(false),
+            give_up_calibration: self.wide_calibration.then_some(true),
+            find_mask: self.no_mask.then_some(false),
             ..v1::SessionOptions::default()
         }
     }
@@ -215,7 +223,12 @@ async fn open_session(client: &mut SlamClient, args: &StreamArgs, input: &Input)
         !args.localize_only,
         "there is no session `{name}` to locate frames in; leave out --localize-only to make one"
     );
-    Ok(client.create_session(name, &input.camera, args.options.message()).await?)
+    let mut options = args.options.message();
+    if input.is_approximate {
+        options.set_calibration(v1::Calibration::Approximate);
+    }
+    let mask = input.mask.clone().unwrap_or_default();
+    Ok(client.create_session_with_mask(name, &input.camera, options, mask).await?)
 }
 
 /// Where in the session the frames go.

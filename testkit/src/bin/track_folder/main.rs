@@ -3,7 +3,7 @@
 //! `cargo run --release -p testkit --bin track_folder -- DATASET OUT.txt [--inline] [--start N] [--end N]
 //! [--seed N] [--no-lines] [--no-primitives] [--no-loops] [--no-calibration] [--unknown-camera]
 //! [--readout MS]
-//! [--approximate-camera] [--wide-calibration] [--verbose] [--states] [--log]`
+//! [--approximate-camera] [--wide-calibration] [--mask FILE] [--no-mask] [--verbose] [--states] [--log]`
 //!
 //! The dataset is a folder of a layout that `monoslam` reads, also looked for in the folder that
 //! `MONOSLAM_DATA` names. `--states` prints how many frames of each state are wrong, where the recording has
@@ -16,13 +16,16 @@ mod states;
 use geometry::{Camera, CameraParameters};
 use recordings::{Recording, Trajectory, find_folder};
 use slam::map::{FrameRecord, FrameState};
-use slam::{CalibrationTrust, FeatureSwitches, Frame, Pipeline, ResumeState, SlamConfig, Threading};
+use slam::{
+    CalibrationTrust, FeatureSwitches, Frame, Pipeline, ResumeState, SceneMask, SlamConfig, Threading,
+};
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::sync::Arc;
 use std::time::Instant;
 use testkit::laboratory::{Arguments, WallClock, summary, write_pose};
 use vision::decode::{DecodeLimits, EncodedImage, decode_gray};
+use vision::mask::Mask;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments = Arguments::read();
@@ -41,6 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             global_primitives: !flag("--no-lines") && !flag("--no-primitives"),
             loop_closing: !flag("--no-loops"),
             refine_calibration: !flag("--no-calibration"),
+            find_mask: !flag("--no-mask"),
         },
         ..SlamConfig::default()
     };
@@ -50,6 +54,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         camera = Camera::new(config.calibration.camera_of_size(camera.width(), camera.height()))?;
     }
     config.calibration.wide = flag("--wide-calibration");
+    let (parameters, calibration) = config.calibration.begin_with(camera.parameters().clone());
+    (camera, config.calibration) = (Camera::new(parameters)?, calibration);
     if flag("--approximate-camera") {
         config.calibration.trust = CalibrationTrust::Approximate;
     }
@@ -60,7 +66,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         tracing_subscriber::fmt().with_max_level(tracing::Level::DEBUG).with_ansi(false).init();
     }
     let clock = Arc::new(WallClock::start());
-    let mut pipeline = Pipeline::resume(config, camera.clone(), clock, ResumeState::default())?;
+    let given = value("--mask").map(|path| read_mask(path)).transpose()?;
+    let state = ResumeState { mask: given, ..ResumeState::default() };
+    let mut pipeline = Pipeline::resume(config, camera.clone(), clock, state)?;
 
     let mut records: BTreeMap<u64, FrameRecord> = BTreeMap::new();
     let (mut cpu_ms, mut wall_ms) = (Vec::new(), Vec::new());
@@ -142,6 +150,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     let CameraParameters { fx, fy, cx, cy, distortion, .. } =
         camera.with_correction(map.correction()).corrected_parameters();
+    if let Some(known) = pipeline.mask() {
+        println!("mask: {:.4} of the image is left out", known.mask.share());
+    }
     println!("camera fx {fx:.2} fy {fy:.2} cx {cx:.2} cy {cy:.2} distortion {distortion:.4?}");
     println!("cpu ms: {} wall ms: {} total {elapsed:.1} s", summary(&mut cpu_ms), summary(&mut wall_ms));
     for (name, times) in &mut stage_ms {
@@ -152,4 +163,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     map.check()?;
     Ok(())
+}
+
+fn read_mask(path: &str) -> Result<SceneMask, Box<dyn Error>> {
+    let picture = decode_gray(&EncodedImage::Auto(&std::fs::read(path)?), &DecodeLimits::default())?;
+    Ok(SceneMask { mask: Arc::new(Mask::from_picture(&picture)), is_given: true })
 }

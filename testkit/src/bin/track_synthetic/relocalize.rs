@@ -34,7 +34,7 @@ pub fn print_relocalized(
             let gray = f64::from(image.get(x, y).unwrap_or(0));
             (128.0 + contrast * (gray - 128.0)).round() as u8
         });
-        let state = ResumeState { map: map.to_parts(), last_frame: None };
+        let state = ResumeState { map: map.to_parts(), last_frame: None, mask: None };
         let clock = Arc::new(WallClock::start());
         let mut pipeline = Pipeline::resume(config.clone(), recording.camera().clone(), clock, state)?;
         pipeline.set_mapping(false);

@@ -1,0 +1,79 @@
+//! What of a session's images is not the scene.
+
+use crate::session::session_number;
+use crate::{Store, StoreError};
+use slam::SceneMask;
+use sqlx::{Row, SqliteConnection};
+use std::sync::Arc;
+use vision::mask::Mask;
+
+impl Store {
+    /// Stores what of a session's images is left out; nothing with `None`.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn set_mask(&self, session: &str, mask: Option<&SceneMask>) -> Result<(), StoreError> {
+        let mut transaction = self.begin_write().await?;
+        let number = session_number(&mut transaction, session).await?;
+        write_mask(&mut transaction, number, mask).await?;
+        transaction.commit().await
+    }
+
+    /// What of a session's images is left out.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`], or [`StoreError::Corrupt`].
+    pub async fn mask(&self, session: &str) -> Result<Option<SceneMask>, StoreError> {
+        let mut reader = self.reader().await?;
+        let number = session_number(&mut reader, session).await?;
+        read_mask(&mut reader, number).await
+    }
+}
+
+pub(crate) async fn write_mask(
+    connection: &mut SqliteConnection,
+    number: i64,
+    mask: Option<&SceneMask>,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE sessions SET mask_share = ?, mask_given = ? WHERE number = ?")
+        .bind(mask.map(|known| known.mask.share()))
+        .bind(mask.is_some_and(|known| known.is_given))
+        .bind(number)
+        .execute(&mut *connection)
+        .await?;
+    match mask {
+        Some(known) => {
+            sqlx::query(
+                "INSERT INTO session_masks (session, runs) VALUES (?, ?)
+                 ON CONFLICT (session) DO UPDATE SET runs = excluded.runs",
+            )
+            .bind(number)
+            .bind(known.mask.to_bytes())
+            .execute(&mut *connection)
+            .await?
+        }
+        None => {
+            sqlx::query("DELETE FROM session_masks WHERE session = ?")
+                .bind(number)
+                .execute(&mut *connection)
+                .await?
+        }
+    };
+    Ok(())
+}
+
+pub(crate) async fn read_mask(
+    connection: &mut SqliteConnection,
+    number: i64,
+) -> Result<Option<SceneMask>, StoreError> {
+    let row = sqlx::query(
+        "SELECT runs, mask_given FROM session_masks JOIN sessions ON number = session WHERE session = ?",
+    )
+    .bind(number)
+    .fetch_optional(connection)
+    .await?;
+    let Some(row) = row else { return Ok(None) };
+    let mask = Mask::from_bytes(row.try_get("runs")?)
+        .ok_or_else(|| StoreError::Corrupt("the mask of a session is none".into()))?;
+    Ok(Some(SceneMask { mask: Arc::new(mask), is_given: row.try_get("mask_given")? }))
+}
