@@ -53,7 +53,7 @@ fn a_readout_that_is_told_is_taken_out_of_the_map_and_stays_out() {
         .unwrap();
         assert_eq!(stored.undistorted, features.undistorted, "keyframe {:?}", keyframe.id);
     }
-    let state = ResumeState { map: map.to_parts(), last_frame: None };
+    let state = ResumeState { map: map.to_parts(), last_frame: None, mask: None };
     let mut resumed = Session::resume(inline(3), sequence.camera(), state);
     resumed.show(
         N_FRAMES as u64,

@@ -41,7 +41,12 @@ async fn a_map_is_adjusted_and_the_result_is_there_after_a_restart() {
     // Without primitives a map is not adjusted as a whole when its recording ends.
     let options = v1::SessionOptions { global_primitives: Some(false), ..v1::SessionOptions::default() };
     let (session_id, camera) = ("room".to_owned(), Some(world.camera()));
-    let new = v1::CreateSessionRequest { session_id, camera, options: Some(options) };
+    let new = v1::CreateSessionRequest {
+        session_id,
+        camera,
+        options: Some(options),
+        ..v1::CreateSessionRequest::default()
+    };
     client.create_session(new).await.unwrap();
     let stream = FrameStream::open(&mut client, open_message("room")).await.unwrap();
     stream_frames(stream, &world, 0..N_FRAMES).await;
@@ -140,7 +145,7 @@ async fn operations_of_others_are_not_there() {
     let bob = server.token("bob", TokenRole::Writer).await;
     let mut client = server.client().await;
     let (session_id, camera) = ("kitchen".to_owned(), Some(world.camera()));
-    let new = v1::CreateSessionRequest { session_id, camera, options: None };
+    let new = v1::CreateSessionRequest { session_id, camera, ..v1::CreateSessionRequest::default() };
     client.create_session(with_token(&ann, new)).await.unwrap();
     let begun = client.optimize_map(with_token(&ann, optimize("kitchen"))).await.unwrap().into_inner();
     assert_eq!(begun.session_id, "kitchen");
