@@ -132,7 +132,7 @@ impl ErrorCode {
             Self::SessionNotFound => "No such session",
             Self::KeyframeNotFound => "No such keyframe",
             Self::PrimitiveNotFound => "No such global primitive",
-            Self::ImageNotFound => "The keyframe's image was not kept",
+            Self::ImageNotFound => "There is no such image, or it was not kept",
             Self::FrameNotFound => "The frame is not kept, or no longer",
             Self::TooBusy => "Too much is asked at once",
             Self::TookTooLong => "It took too long",

@@ -3,12 +3,14 @@
 use crate::error::{ApiError, FieldViolation};
 use geometry::{Camera, CameraParameters};
 use serde::{Deserialize, Serialize};
-use slam::{CalibrationConfig, CalibrationTrust, FeatureSwitches, SlamConfig, Threading};
+use slam::{
+    CalibrationConfig, CalibrationTrust, FeatureSwitches, RollingShutterConfig, SlamConfig, Threading,
+};
 use store::SessionRecord;
 use utoipa::ToSchema;
 
 /// Options of a session; every field left out takes the server's default.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default, deny_unknown_fields)]
 #[schema(as = Options)]
 pub struct SessionOptions {
@@ -51,6 +53,10 @@ pub struct SessionOptions {
     /// borders, watermarks, a car's bonnet. Not where a mask was given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub find_mask: Option<bool>,
+    /// Rolling shutter: milliseconds from the first row of an image to the last, as phones and webcams take 8
+    /// to 35. Left out it is taken for a global shutter, which reads all rows at once.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub readout_ms: Option<f64>,
 }
 
 /// How far what is said of a camera is to be believed.
@@ -101,6 +107,7 @@ macro_rules! convert_options {
                     max_keyframes,
                     give_up_calibration,
                     find_mask,
+                    readout_ms,
                     $($own,)*
                     $($same,)*
                 } = options;
@@ -116,6 +123,7 @@ macro_rules! convert_options {
                     max_keyframes,
                     give_up_calibration,
                     find_mask,
+                    readout_ms,
                     $($own: $convert($own),)*
                     $($same: $same.map(Into::into),)*
                 }
@@ -143,6 +151,7 @@ impl SessionOptions {
             calibration: changes.calibration.or(self.calibration),
             give_up_calibration: changes.give_up_calibration.or(self.give_up_calibration),
             find_mask: changes.find_mask.or(self.find_mask),
+            readout_ms: changes.readout_ms.or(self.readout_ms),
         }
     }
 }
@@ -212,6 +221,9 @@ pub fn engine_config(options: &SessionOptions) -> Result<SlamConfig, ApiError> {
     };
     config.calibration.trust = options.calibration.map_or(config.calibration.trust, Into::into);
     config.calibration.wide = options.give_up_calibration.unwrap_or(config.calibration.wide);
+    if let Some(readout_ms) = options.readout_ms {
+        config.rolling_shutter = RollingShutterConfig::of_ms(readout_ms);
+    }
     if options.deterministic == Some(true) {
         config.threading = Threading::Inline;
     }
@@ -229,6 +241,7 @@ pub fn engine_config(options: &SessionOptions) -> Result<SlamConfig, ApiError> {
         let field = match error.field {
             "orb.n_features" => "options.n_features".to_owned(),
             "keyframes.max_keyframes" => "options.max_keyframes".to_owned(),
+            "rolling_shutter.readout_ns" => "options.readout_ms".to_owned(),
             other => format!("options ({other})"),
         };
         ApiError::invalid(field, error.reason)
@@ -319,6 +332,12 @@ mod tests {
     fn numbers_outside_their_range_are_refused_by_the_clients_name_for_them() {
         let asked = SessionOptions { n_features: Some(7), ..SessionOptions::default() };
         assert_eq!(engine_config(&asked).unwrap_err().violations[0].field, "options.n_features");
+        for wrong in [-1.0, 1e9, f64::NAN] {
+            let asked = SessionOptions { readout_ms: Some(wrong), ..SessionOptions::default() };
+            assert_eq!(engine_config(&asked).unwrap_err().violations[0].field, "options.readout_ms");
+        }
+        let asked = SessionOptions { readout_ms: Some(16.5), ..SessionOptions::default() };
+        assert_eq!(engine_config(&asked).unwrap().rolling_shutter.readout_ns, 16_500_000);
         let asked = SessionOptions { max_keyframes: Some(0), ..SessionOptions::default() };
         assert_eq!(engine_config(&asked).unwrap_err().violations[0].field, "options.max_keyframes");
     }

@@ -266,8 +266,8 @@ impl FrameFeatures {
         features
     }
 
-    /// The same features elsewhere: keypoints where `point` puts them, ends of lines where `end` does, which is
-    /// told where the calibration alone has them as well. Where keypoints were detected stays.
+    /// The same features elsewhere: keypoints where `point` puts them, ends of lines where `end` does, which
+    /// is told where the calibration alone has them as well. Where keypoints were detected stays.
     #[must_use]
     pub(crate) fn moved(
         &self,

@@ -3,8 +3,8 @@
 //!
 //! Behind this all works with one pose per image. A keypoint in a row that is read a share `s` of the readout
 //! after the middle row is seen from `exp(s ξ) T`, `T` the pose of the middle row and `ξ` the camera's motion
-//! in its own frame while the image is read. With the keypoint's depth the place where `T` sees the same point
-//! follows.
+//! in its own frame while the image is read. With the keypoint's depth the place where `T` sees the same
+//! point follows.
 
 use crate::features::FrameFeatures;
 use geometry::nalgebra::{Vector2, Vector6};
@@ -153,7 +153,7 @@ mod tests {
             let rolled = pinhole.project(&seen_at_row);
             let place = unrolled(&pinhole, &(twist * share), &rolled, 1.0 / seen_at_row.z).unwrap();
             assert!((place - pinhole.project(&seen_at_middle)).norm() < 1e-9, "{place}");
-            assert!((rolled - place).norm() > 0.5, "the row matters");
+            assert!((rolled - place).norm() > 0.3, "the row matters");
         }
         let away = Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 5.0);
         assert!(unrolled(&pinhole, &away, &Vector2::new(10.0, 10.0), 1.0).is_none());

@@ -14,7 +14,7 @@ use tonic::Code;
 
 /// What does not answer with success, as there is nothing to tell of a session of one frame, it is not in
 /// this version, or it is no plain request.
-const OTHERWISE: [(&str, u16); 11] = [
+const OTHERWISE: [(&str, u16); 12] = [
     ("get /v1/operations/{operation}", 404),
     ("post /v1/operations/{operation}/cancel", 404),
     ("get /v1/sessions/{id}/frames/{sequence}/image", 404),
@@ -22,6 +22,7 @@ const OTHERWISE: [(&str, u16); 11] = [
     ("get /v1/sessions/{id}/keyframes/{kf}", 404),
     ("get /v1/sessions/{id}/keyframes/{kf}/image", 404),
     ("get /v1/sessions/{id}/keyframes/{kf}/observed", 404),
+    ("get /v1/sessions/{id}/mask", 404),
     ("get /v1/sessions/{id}/picture", 404),
     ("get /v1/sessions/{id}/primitives/{p}", 404),
     ("post /v1/sessions/{id}/merge", 400),

@@ -226,8 +226,8 @@ pub async fn ask(
     let client = reqwest::Client::new();
     let request = client.request(method.to_uppercase().parse().unwrap(), url);
     let request = match path.rsplit('/').next().unwrap() {
-        "localize" => {
-            request.header("content-type", "image/png").body(tests::png(480, 360, &[0; 480 * 360]).data)
+        "localize" | "mask" => {
+            request.header("content-type", "image/png").body(tests::png(480, 360, &[255; 480 * 360]).data)
         }
         "merge" => {
             request.header("content-type", "application/json").body(json!({"from": "kitchen"}).to_string())

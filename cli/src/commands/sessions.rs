@@ -128,6 +128,7 @@ fn as_json(session: &v1::Session) -> Value {
             "deterministic": o.deterministic, "seed": o.seed, "n_features": o.n_features, "points": o.points,
             "lines": o.lines, "global_primitives": o.global_primitives, "loop_closing": o.loop_closing,
             "max_keyframes": o.max_keyframes, "refine_calibration": o.refine_calibration,
+            "give_up_calibration": o.give_up_calibration, "find_mask": o.find_mask, "readout_ms": o.readout_ms,
         })
     });
     json!({

@@ -19,7 +19,7 @@ pub struct Camera {
     pub distortion: ::prost::alloc::vec::Vec<f64>,
 }
 /// What a session runs with; every field left out takes the server's default.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+#[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct SessionOptions {
     /// Repeatable mode: every stage runs in turn on one thread; same frames and seed, same bytes.
     #[prost(bool, optional, tag = "1")]
@@ -55,6 +55,10 @@ pub struct SessionOptions {
     /// car's bonnet. Not where a mask was given.
     #[prost(bool, optional, tag = "12")]
     pub find_mask: ::core::option::Option<bool>,
+    /// Rolling shutter: milliseconds from the first row of an image to the last, as phones and webcams take 8 to 35. Left out it
+    /// is taken for a global shutter, which reads all rows at once.
+    #[prost(double, optional, tag = "13")]
+    pub readout_ms: ::core::option::Option<f64>,
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Session {
@@ -167,7 +171,7 @@ pub struct DeleteSessionRequest {
 }
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct DeleteSessionResponse {}
-#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+#[derive(Clone, PartialEq, ::prost::Message)]
 pub struct UpdateSessionRequest {
     #[prost(string, tag = "1")]
     pub session_id: ::prost::alloc::string::String,

@@ -123,8 +123,8 @@ impl Localization {
         Self(Arc::new(Inner { store, registry, limits, sketches, maps, keep }))
     }
 
-    /// Looks for an image. The `turn` is kept for as long as that is worked at, also when the future is given up:
-    /// the work then ends at its next stage.
+    /// Looks for an image. The `turn` is kept for as long as that is worked at, also when the future is given
+    /// up: the work then ends at its next stage.
     ///
     /// # Errors
     /// If the image or what is said of its camera cannot be used, or a session not be read. A place that is

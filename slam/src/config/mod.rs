@@ -189,6 +189,7 @@ impl SlamConfig {
             );
         }
         self.calibration.validate()?;
+        self.rolling_shutter.validate()?;
         if !(self.loops.max_scale_change >= 1.0 && self.loops.max_drift_share >= 0.0) {
             return refuse(
                 "loops.max_scale_change",

@@ -1,5 +1,5 @@
-//! Rolling shutter while tracking: a frame's features as the camera of its middle row sees them, by the motion
-//! predicted for it first, and by its own once it has a pose. [method: Rolling shutter]
+//! Rolling shutter while tracking: a frame's features as the camera of its middle row sees them, by the
+//! motion predicted for it first, and by its own once it has a pose. [method: Rolling shutter]
 
 use super::Tracker;
 use super::following::{InLocalMap, LastFrame, PoseStart};
@@ -11,8 +11,8 @@ use crate::rolling_shutter::{InverseDepths, RollingShutter, Velocity};
 use geometry::nalgebra::{Vector2, Vector3};
 use std::sync::Arc;
 
-/// How often the motion and the pose that depend on each other are found anew: each time the change is the share
-/// of the readout in the frame interval of the one before.
+/// How often the motion and the pose that depend on each other are found anew: each time the change is the
+/// share of the readout in the frame interval of the one before.
 const N_ROUNDS: usize = 2;
 
 impl Tracker {
@@ -49,7 +49,8 @@ impl Tracker {
 }
 
 impl LastFrame {
-    /// How the camera moves at the frame after this one: as between the two, and accelerated as it was before.
+    /// How the camera moves at the frame after this one: as between the two, and accelerated as it was
+    /// before.
     fn velocity_at(&self, frame: &TrackedFrame) -> Option<Velocity> {
         let interval_ns = frame.timestamp_ns - self.frame.timestamp_ns;
         let motion = frame.camera_from_world * self.frame.camera_from_world.inverse();

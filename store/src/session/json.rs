@@ -5,7 +5,7 @@ use geometry::{CameraModel, CameraParameters};
 use serde::{Deserialize, Serialize};
 
 /// What the client asked a session to run with; what it left out takes the server's default each time.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SessionOptions {
     /// Every stage runs in turn on one thread.
@@ -44,6 +44,9 @@ pub struct SessionOptions {
     /// Whether what is not the scene is looked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub find_mask: Option<bool>,
+    /// Rolling shutter: from the first row of an image to the last, milliseconds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub readout_ms: Option<f64>,
 }
 
 /// How far what was said of a camera is to be believed.

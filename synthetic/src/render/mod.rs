@@ -27,8 +27,8 @@ use sensor::Sensor;
 use shading::shade_band;
 use visibility::FrameFaces;
 
-/// Rows of a rolling shutter that are rendered from one pose: at 60 degrees a second and a readout of 30 ms the
-/// next ones are a sixteenth of a pixel away.
+/// Rows of a rolling shutter that are rendered from one pose: at 60 degrees a second and a readout of 30 ms
+/// the next ones are a sixteenth of a pixel away.
 const ROWS_READ_AT_ONCE: usize = 2;
 
 /// A camera in a world. Textures are painted when they are first seen and kept.
@@ -77,9 +77,9 @@ impl Renderer {
         self.sensed(&radiance, t_s, noise_seed)
     }
 
-    /// The image of a rolling shutter: `camera_from_world` gives the poses that the camera takes while a row is
-    /// exposed, by when that row is read, as a share of the readout before (down to -0.5) or after (up to 0.5)
-    /// the middle row.
+    /// The image of a rolling shutter: `camera_from_world` gives the poses that the camera takes while a row
+    /// is exposed, by when that row is read, as a share of the readout before (down to -0.5) or after (up to
+    /// 0.5) the middle row.
     ///
     /// # Panics
     /// If there is no pose.

@@ -87,6 +87,9 @@ pub struct OptionArgs {
     /// Do not look for what stays in the image while the scene moves, such as borders and watermarks
     #[arg(long)]
     no_mask: bool,
+    /// Rolling shutter: milliseconds from the first row of an image to the last; phones take 8 to 35
+    #[arg(long, value_name = "MS")]
+    readout_ms: Option<f64>,
     /// Run every stage in turn: the same frames and seed give the same map
     #[arg(long)]
     pub deterministic: bool,
@@ -111,6 +114,7 @@ impl OptionArgs {
             refine_calibration: self.no_calibration.then_some(false),
             give_up_calibration: self.wide_calibration.then_some(true),
             find_mask: self.no_mask.then_some(false),
+            readout_ms: self.readout_ms,
             ..v1::SessionOptions::default()
         }
     }

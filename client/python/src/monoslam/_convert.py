@@ -33,6 +33,9 @@ _OPTIONS = [
     "loop_closing",
     "max_keyframes",
     "refine_calibration",
+    "give_up_calibration",
+    "find_mask",
+    "readout_ms",
 ]
 
 

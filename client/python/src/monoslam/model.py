@@ -73,6 +73,12 @@ class SessionOptions:
     """Most keyframes the session keeps."""
     refine_calibration: bool | None = None
     """Whether focal length and principal point are refined as the map grows."""
+    give_up_calibration: bool | None = None
+    """Whether a calibration that the images contradict is given up for the camera that they show."""
+    find_mask: bool | None = None
+    """Whether what stays in the image while the scene moves is found and left out."""
+    readout_ms: float | None = None
+    """Rolling shutter: milliseconds from the first row of an image to the last; phones take 8 to 35."""
 
 
 class TrackingState(Enum):
