@@ -15,6 +15,13 @@ class CameraModel(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     CAMERA_MODEL_KANNALA_BRANDT: _ClassVar[CameraModel]
     CAMERA_MODEL_FOV: _ClassVar[CameraModel]
 
+class Calibration(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    CALIBRATION_UNSPECIFIED: _ClassVar[Calibration]
+    CALIBRATION_GIVEN: _ClassVar[Calibration]
+    CALIBRATION_APPROXIMATE: _ClassVar[Calibration]
+    CALIBRATION_UNKNOWN: _ClassVar[Calibration]
+
 class OperationKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     OPERATION_KIND_UNSPECIFIED: _ClassVar[OperationKind]
@@ -95,6 +102,10 @@ CAMERA_MODEL_PINHOLE: CameraModel
 CAMERA_MODEL_RADTAN: CameraModel
 CAMERA_MODEL_KANNALA_BRANDT: CameraModel
 CAMERA_MODEL_FOV: CameraModel
+CALIBRATION_UNSPECIFIED: Calibration
+CALIBRATION_GIVEN: Calibration
+CALIBRATION_APPROXIMATE: Calibration
+CALIBRATION_UNKNOWN: Calibration
 OPERATION_KIND_UNSPECIFIED: OperationKind
 OPERATION_KIND_OPTIMIZE: OperationKind
 OPERATION_KIND_MERGE: OperationKind
@@ -163,7 +174,7 @@ class Camera(_message.Message):
     def __init__(self, model: _Optional[_Union[CameraModel, str]] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., fx: _Optional[float] = ..., fy: _Optional[float] = ..., cx: _Optional[float] = ..., cy: _Optional[float] = ..., distortion: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class SessionOptions(_message.Message):
-    __slots__ = ("deterministic", "seed", "n_features", "points", "lines", "global_primitives", "loop_closing", "max_keyframes", "refine_calibration")
+    __slots__ = ("deterministic", "seed", "n_features", "points", "lines", "global_primitives", "loop_closing", "max_keyframes", "refine_calibration", "calibration", "give_up_calibration", "find_mask", "readout_ms")
     DETERMINISTIC_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
     N_FEATURES_FIELD_NUMBER: _ClassVar[int]
@@ -173,6 +184,10 @@ class SessionOptions(_message.Message):
     LOOP_CLOSING_FIELD_NUMBER: _ClassVar[int]
     MAX_KEYFRAMES_FIELD_NUMBER: _ClassVar[int]
     REFINE_CALIBRATION_FIELD_NUMBER: _ClassVar[int]
+    CALIBRATION_FIELD_NUMBER: _ClassVar[int]
+    GIVE_UP_CALIBRATION_FIELD_NUMBER: _ClassVar[int]
+    FIND_MASK_FIELD_NUMBER: _ClassVar[int]
+    READOUT_MS_FIELD_NUMBER: _ClassVar[int]
     deterministic: bool
     seed: int
     n_features: int
@@ -182,10 +197,14 @@ class SessionOptions(_message.Message):
     loop_closing: bool
     max_keyframes: int
     refine_calibration: bool
-    def __init__(self, deterministic: bool = ..., seed: _Optional[int] = ..., n_features: _Optional[int] = ..., points: bool = ..., lines: bool = ..., global_primitives: bool = ..., loop_closing: bool = ..., max_keyframes: _Optional[int] = ..., refine_calibration: bool = ...) -> None: ...
+    calibration: Calibration
+    give_up_calibration: bool
+    find_mask: bool
+    readout_ms: float
+    def __init__(self, deterministic: bool = ..., seed: _Optional[int] = ..., n_features: _Optional[int] = ..., points: bool = ..., lines: bool = ..., global_primitives: bool = ..., loop_closing: bool = ..., max_keyframes: _Optional[int] = ..., refine_calibration: bool = ..., calibration: _Optional[_Union[Calibration, str]] = ..., give_up_calibration: bool = ..., find_mask: bool = ..., readout_ms: _Optional[float] = ...) -> None: ...
 
 class Session(_message.Message):
-    __slots__ = ("id", "camera", "options", "created_at_ns", "state", "n_frames", "n_keyframes", "n_points", "n_lines", "n_primitives", "n_submaps", "durable_sequence", "next_sequence", "loaded", "has_writer", "last_timestamp_ns", "metres_per_unit", "refined_camera", "scale_measurement")
+    __slots__ = ("id", "camera", "options", "created_at_ns", "state", "n_frames", "n_keyframes", "n_points", "n_lines", "n_primitives", "n_submaps", "durable_sequence", "next_sequence", "loaded", "has_writer", "last_timestamp_ns", "metres_per_unit", "refined_camera", "damage", "scale_measurement", "mask", "camera_warnings")
     ID_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
@@ -204,7 +223,10 @@ class Session(_message.Message):
     LAST_TIMESTAMP_NS_FIELD_NUMBER: _ClassVar[int]
     METRES_PER_UNIT_FIELD_NUMBER: _ClassVar[int]
     REFINED_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    DAMAGE_FIELD_NUMBER: _ClassVar[int]
     SCALE_MEASUREMENT_FIELD_NUMBER: _ClassVar[int]
+    MASK_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_WARNINGS_FIELD_NUMBER: _ClassVar[int]
     id: str
     camera: Camera
     options: SessionOptions
@@ -223,18 +245,31 @@ class Session(_message.Message):
     last_timestamp_ns: int
     metres_per_unit: float
     refined_camera: Camera
+    damage: str
     scale_measurement: ScaleMeasurement
-    def __init__(self, id: _Optional[str] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., state: _Optional[_Union[TrackingState, str]] = ..., n_frames: _Optional[int] = ..., n_keyframes: _Optional[int] = ..., n_points: _Optional[int] = ..., n_lines: _Optional[int] = ..., n_primitives: _Optional[int] = ..., n_submaps: _Optional[int] = ..., durable_sequence: _Optional[int] = ..., next_sequence: _Optional[int] = ..., loaded: bool = ..., has_writer: bool = ..., last_timestamp_ns: _Optional[int] = ..., metres_per_unit: _Optional[float] = ..., refined_camera: _Optional[_Union[Camera, _Mapping]] = ..., scale_measurement: _Optional[_Union[ScaleMeasurement, _Mapping]] = ...) -> None: ...
+    mask: Mask
+    camera_warnings: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, id: _Optional[str] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., state: _Optional[_Union[TrackingState, str]] = ..., n_frames: _Optional[int] = ..., n_keyframes: _Optional[int] = ..., n_points: _Optional[int] = ..., n_lines: _Optional[int] = ..., n_primitives: _Optional[int] = ..., n_submaps: _Optional[int] = ..., durable_sequence: _Optional[int] = ..., next_sequence: _Optional[int] = ..., loaded: bool = ..., has_writer: bool = ..., last_timestamp_ns: _Optional[int] = ..., metres_per_unit: _Optional[float] = ..., refined_camera: _Optional[_Union[Camera, _Mapping]] = ..., damage: _Optional[str] = ..., scale_measurement: _Optional[_Union[ScaleMeasurement, _Mapping]] = ..., mask: _Optional[_Union[Mask, _Mapping]] = ..., camera_warnings: _Optional[_Iterable[str]] = ...) -> None: ...
+
+class Mask(_message.Message):
+    __slots__ = ("share", "given")
+    SHARE_FIELD_NUMBER: _ClassVar[int]
+    GIVEN_FIELD_NUMBER: _ClassVar[int]
+    share: float
+    given: bool
+    def __init__(self, share: _Optional[float] = ..., given: bool = ...) -> None: ...
 
 class CreateSessionRequest(_message.Message):
-    __slots__ = ("session_id", "camera", "options")
+    __slots__ = ("session_id", "camera", "options", "mask")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
+    MASK_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     camera: Camera
     options: SessionOptions
-    def __init__(self, session_id: _Optional[str] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ...) -> None: ...
+    mask: bytes
+    def __init__(self, session_id: _Optional[str] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ..., mask: _Optional[bytes] = ...) -> None: ...
 
 class GetSessionRequest(_message.Message):
     __slots__ = ("session_id",)
@@ -645,16 +680,18 @@ class StreamFramesRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[OpenStream, _Mapping]] = ..., frame: _Optional[_Union[Frame, _Mapping]] = ...) -> None: ...
 
 class OpenStream(_message.Message):
-    __slots__ = ("session_id", "mode", "policy", "take_over")
+    __slots__ = ("session_id", "mode", "policy", "take_over", "new_segment")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     MODE_FIELD_NUMBER: _ClassVar[int]
     POLICY_FIELD_NUMBER: _ClassVar[int]
     TAKE_OVER_FIELD_NUMBER: _ClassVar[int]
+    NEW_SEGMENT_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     mode: StreamMode
     policy: StreamPolicy
     take_over: bool
-    def __init__(self, session_id: _Optional[str] = ..., mode: _Optional[_Union[StreamMode, str]] = ..., policy: _Optional[_Union[StreamPolicy, str]] = ..., take_over: bool = ...) -> None: ...
+    new_segment: bool
+    def __init__(self, session_id: _Optional[str] = ..., mode: _Optional[_Union[StreamMode, str]] = ..., policy: _Optional[_Union[StreamPolicy, str]] = ..., take_over: bool = ..., new_segment: bool = ...) -> None: ...
 
 class Frame(_message.Message):
     __slots__ = ("sequence", "timestamp_ns", "image")

@@ -183,7 +183,8 @@ class SlamServiceServicer(object):
 
     def Localize(self, request, context):
         """Locates one image in stored sessions' maps, as of their last commits, without changing anything; also while a writer
-        is connected. A place that is not found is an answer, not an error.
+        is connected. A place that is not found is an answer, not an error. Fails with DEADLINE_EXCEEDED after
+        sessions.localize_timeout_s of the server; a client that ends the call ends the work.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
