@@ -45,12 +45,15 @@ pub(crate) fn hold_out(
     (!aborted()).then_some(HeldOut { gain: 2.0 * (present - found), correction })
 }
 
+/// A keyframe and which of its features.
+type Sighting = (KeyframeId, usize);
+
 /// Bundle adjustment of the keyframes that are not left out.
 struct Fit {
     problem: Problem,
     correction: VariableId<CorrectionVector>,
     /// Points, with the observations in keyframes left out: which, and of which feature.
-    points: Vec<(VariableId<Vector3<f64>>, Vec<(KeyframeId, usize)>)>,
+    points: Vec<(VariableId<Vector3<f64>>, Vec<Sighting>)>,
 }
 
 impl Fit {
