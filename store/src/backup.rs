@@ -128,7 +128,7 @@ impl Store {
         // Not one of the readers: it is in use for as long as the file is large.
         let options = crate::open::reading(self.path(), &crate::StoreOptions::default());
         let mut connection = SqliteConnection::connect_with(&options).await?;
-        connection.lock_handle().await?.set_progress_handler(STEPS_BETWEEN_LOOKS, move || go_on());
+        connection.lock_handle().await?.set_progress_handler(STEPS_BETWEEN_LOOKS, go_on);
         let lines = sqlx::query("PRAGMA quick_check(100)").fetch_all(&mut connection).await;
         let lines = match lines {
             Ok(rows) => rows.iter().map(|row| row.try_get(0)).collect::<Result<Vec<String>, _>>()?,
