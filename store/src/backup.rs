@@ -123,7 +123,7 @@ impl Store {
     /// If the database cannot be read at all, and [`StoreError::Stopped`] if it was not to go on.
     pub async fn find_damage(
         &self,
-        mut go_on: impl FnMut() -> bool + Send + 'static,
+        go_on: impl FnMut() -> bool + Send + 'static,
     ) -> Result<Vec<Finding>, StoreError> {
         // Not one of the readers: it is in use for as long as the file is large.
         let options = crate::open::reading(self.path(), &crate::StoreOptions::default());
