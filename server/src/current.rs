@@ -72,7 +72,7 @@ impl Current {
 fn is_changeable(name: &str) -> bool {
     let is_within =
         |table: &&str| name == *table || name.strip_prefix(*table).is_some_and(|rest| rest.starts_with('.'));
-    CHANGEABLE.iter().any(|table| is_within(table)) && !FIXED.contains(&name)
+    CHANGEABLE.iter().any(is_within) && !FIXED.contains(&name)
 }
 
 /// The value of each field by its name with those of the tables around it.

@@ -99,7 +99,7 @@ fn check(positions: &ReferencePositions) -> Result<(), ApiError> {
 fn fit(trajectory: &[Known], positions: &ReferencePositions) -> Result<Measurement, ApiError> {
     let centers: Vec<Option<Vector3<f64>>> =
         positions.rows.iter().map(|row| center_at(trajectory, row.when)).collect();
-    let pairs: Vec<(usize, Vector3<f64>, Vector3<f64>)> = positions
+    let pairs: Vec<Pair> = positions
         .rows
         .iter()
         .zip(&centers)
@@ -168,6 +168,9 @@ fn center_at(trajectory: &[Known], when: When) -> Option<Vector3<f64>> {
     }
 }
 
+/// A row, and where it is in the map and in the reference.
+type Pair = (usize, Vector3<f64>, Vector3<f64>);
+
 struct Fit {
     reference_from_map: Similarity,
     /// Of each pair, metres.
@@ -176,14 +179,13 @@ struct Fit {
 }
 
 /// The similarity that most pairs agree with.
-fn robust(pairs: &[(usize, Vector3<f64>, Vector3<f64>)], max_error_m: Option<f64>) -> Option<Fit> {
+fn robust(pairs: &[Pair], max_error_m: Option<f64>) -> Option<Fit> {
     let errors_of = |similarity: &Similarity| -> Vec<f64> {
         pairs.iter().map(|(_, map, reference)| (similarity.transform(map) - reference).norm()).collect()
     };
     let fit_to = |chosen: &[usize]| {
-        let side = |of: fn(&(usize, Vector3<f64>, Vector3<f64>)) -> Vector3<f64>| {
-            chosen.iter().map(|idx| of(&pairs[*idx])).collect::<Vec<_>>()
-        };
+        let side =
+            |of: fn(&Pair) -> Vector3<f64>| chosen.iter().map(|idx| of(&pairs[*idx])).collect::<Vec<_>>();
         let found = Similarity::from_correspondences(&side(|pair| pair.1), &side(|pair| pair.2), true)?;
         (found.is_finite() && found.scale > 0.0).then_some(found)
     };
@@ -226,7 +228,7 @@ fn median(values: &[f64]) -> f64 {
 }
 
 /// How far the references reach, metres.
-fn span_of(pairs: &[(usize, Vector3<f64>, Vector3<f64>)]) -> f64 {
+fn span_of(pairs: &[Pair]) -> f64 {
     let first = pairs[0].2;
     pairs.iter().map(|(_, _, reference)| (reference - first).norm()).fold(0.0, f64::max)
 }
