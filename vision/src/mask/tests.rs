@@ -36,7 +36,7 @@ fn is_framed(x: u32, y: u32) -> bool {
 
 fn is_marked(x: u32, y: u32) -> bool {
     let inside = (200..296).contains(&x) && (20..44).contains(&y);
-    inside && (x / 8) % 2 == 0
+    inside && (x / 8).is_multiple_of(2)
 }
 
 #[test]
