@@ -1,4 +1,4 @@
-//! Single images of other cameras in the map of a recording (docs/operations.md, "Locating images"): the map
+//! Single images of other cameras in the map of a recording (docs/limits.md): the map
 //! is made of the first 600 frames of 7-Scenes RedKitchen, and later ones are looked for in it whole, halved,
 //! cropped, and with the focal length withheld; images of other places must not be found.
 
@@ -217,7 +217,7 @@ fn is_sure(found: &Found) -> bool {
 }
 
 #[test]
-#[ignore = "needs recordings"]
+#[ignore = "takes minutes: set MONOSLAM_DATA"]
 fn other_cameras_images_are_located_and_other_places_are_not() {
     let folder = find_folder("7scenes_redkitchen").unwrap_or_else(|missing| panic!("{missing}"));
     let recording = Recording::open(&folder, None).unwrap_or_else(|refused| panic!("{refused}"));

@@ -92,6 +92,12 @@ async fn errors(server: &TestServer, recording: &Recording, frames: &BTreeMap<u6
     evaluate(&truth, &estimate, &EvaluationOptions::default()).unwrap()
 }
 
+/// Whether a frame has a pose. The recording's calibration is that of its depth camera, which the images
+/// contradict: its poses are weak from when that shows.
+fn is_placed(result: &v1::FrameResult) -> bool {
+    matches!(result.state(), v1::TrackingState::Tracked | v1::TrackingState::Weak)
+}
+
 async fn kidnapped(restart: bool) {
     let recording = Recording::open();
     let first: Vec<usize> = (0..N_FIRST_VISIT).step_by(STEP).collect();
@@ -106,9 +112,9 @@ async fn kidnapped(restart: bool) {
     }
     let results = stream(&server, &recording, &numbered[first.len()..]).await;
 
-    let found = results.iter().position(|result| result.state() == v1::TrackingState::Tracked);
+    let found = results.iter().position(is_placed);
     assert!(found.is_some_and(|found| found < MAX_FRAMES_TO_FIND), "found again at frame {found:?}");
-    let n_tracked = results.iter().filter(|result| result.state() == v1::TrackingState::Tracked).count();
+    let n_tracked = results.iter().filter(|result| is_placed(result)).count();
     assert!(n_tracked * 100 >= results.len() * 97, "{n_tracked} of {} frames were followed", results.len());
     let errors = errors(&server, &recording, &numbered.iter().copied().collect()).await;
     assert!(errors.matched * 100 >= numbered.len() * 97, "{} of {} frames", errors.matched, numbered.len());
