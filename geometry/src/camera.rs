@@ -1,17 +1,14 @@
 //! Real cameras: a pinhole behind a lens, validated.
 
 use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
-use thiserror::Error;
 
+use crate::camera_parameters::error;
 use crate::distortion::{Distortion, Fov, KannalaBrandt, Radtan};
-use crate::{CameraCorrection, CorrectedPixels, Pinhole};
+use crate::{CameraCorrection, CameraError, CameraModel, CameraParameters, CorrectedPixels, Pinhole};
 
 /// Rays further than this from the optical axis are not undistorted: at 80 degrees one pixel of a fisheye
 /// image already covers 33 of the ideal pinhole, and at 90 the pinhole has no image at all.
 pub const MAX_UNDISTORTED_ANGLE_DEG: f64 = 80.0;
-
-/// Largest width and height accepted, in pixels.
-const MAX_SIDE_PX: u32 = 16_384;
 
 /// Samples along each side of the image when its border is examined.
 const BORDER_SAMPLES: u32 = 64;
@@ -19,93 +16,8 @@ const BORDER_SAMPLES: u32 = 64;
 /// Samples along each side of the image when it is counted how much of it has rays.
 const AREA_SAMPLES: u32 = 64;
 
-/// Focal lengths in shares of the image's longer side: below are lengths in millimeters or of an image of
-/// size one, above are views of less than a tenth of a degree.
-const FOCAL_SHARES: std::ops::RangeInclusive<f64> = 0.05..=1000.0;
-
 /// A distortion that leaves less of the image than this is a mistake, and not one that folds in the corners.
 const MIN_USABLE_SHARE: f64 = 0.5;
-
-/// Coefficients of OpenCV's model that are not read, by their places behind the rational ones.
-const THIN_PRISM: std::ops::Range<usize> = 8..12;
-const TILT: std::ops::Range<usize> = 12..14;
-
-/// The family of a camera's lens distortion.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum CameraModel {
-    /// No distortion, no coefficients.
-    Pinhole,
-    /// Brown-Conrady, with 4, 5 or 8 coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6]]`; 12 or 14
-    /// if those behind, of thin prisms and a tilted sensor, are zero.
-    Radtan,
-    /// Equidistant fisheye with four coefficients `k1 k2 k3 k4`.
-    KannalaBrandt,
-    /// Field of view with one coefficient `ω`, in radians.
-    Fov,
-}
-
-impl CameraModel {
-    /// The name users write.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Pinhole => "pinhole",
-            Self::Radtan => "radtan",
-            Self::KannalaBrandt => "kannala-brandt",
-            Self::Fov => "fov",
-        }
-    }
-
-    /// The coefficients in their order.
-    pub fn coefficient_order(self) -> &'static str {
-        match self {
-            Self::Pinhole => "",
-            Self::Radtan => "k1 k2 p1 p2 k3",
-            Self::KannalaBrandt => "k1 k2 k3 k4",
-            Self::Fov => "ω",
-        }
-    }
-
-    /// The numbers of distortion coefficients the model can have.
-    pub fn coefficient_counts(self) -> &'static [usize] {
-        match self {
-            Self::Pinhole => &[0],
-            Self::Radtan => &[4, 5, 8],
-            Self::KannalaBrandt => &[4],
-            Self::Fov => &[1],
-        }
-    }
-}
-
-/// A calibration as users give it, not yet checked. Lengths are pixels.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CameraParameters {
-    /// The family of the distortion.
-    pub model: CameraModel,
-    /// Image width.
-    pub width: u32,
-    /// Image height.
-    pub height: u32,
-    /// Horizontal focal length.
-    pub fx: f64,
-    /// Vertical focal length.
-    pub fy: f64,
-    /// Principal point, horizontal; zero is the center of the leftmost pixel.
-    pub cx: f64,
-    /// Principal point, vertical; zero is the center of the topmost pixel.
-    pub cy: f64,
-    /// Coefficients of the model, see [`CameraModel`].
-    pub distortion: Vec<f64>,
-}
-
-/// Why a calibration was refused: a sentence that names the field.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("{message}")]
-pub struct CameraError {
-    /// The field of [`CameraParameters`] at fault.
-    pub field: &'static str,
-    /// A sentence for the user.
-    pub message: String,
-}
 
 /// A camera whose calibration has been checked: every pixel of the image belongs to one ray at most, and most
 /// do to one. Those without are where the distortion folds back, and further than
@@ -127,8 +39,8 @@ impl Camera {
     /// # Errors
     /// A [`CameraError`] that names the first field that is wrong.
     pub fn new(mut parameters: CameraParameters) -> Result<Self, CameraError> {
-        drop_zero_tail(&mut parameters)?;
-        check_numbers(&parameters)?;
+        parameters.drop_zero_tail()?;
+        parameters.check_numbers()?;
         let camera = Self::unchecked(parameters);
         camera.check_invertible()?;
         Ok(camera)
@@ -428,105 +340,4 @@ impl Camera {
             ),
         ))
     }
-}
-
-/// Takes off the coefficients of thin prisms and of a tilted sensor, which must be zero.
-fn drop_zero_tail(p: &mut CameraParameters) -> Result<(), CameraError> {
-    let n = p.distortion.len();
-    if p.model != CameraModel::Radtan || !(n == THIN_PRISM.end || n == TILT.end) {
-        return Ok(());
-    }
-    for (range, name) in [(THIN_PRISM, "thin prism (s1 to s4)"), (TILT, "tilted sensor (tx, ty)")] {
-        let used = range.clone().find(|i| p.distortion.get(*i).is_some_and(|k| *k != 0.0));
-        if let Some(i) = used {
-            return Err(error(
-                "distortion",
-                format!(
-                    "distortion by a {name} is not supported, and coefficient {i} is {}; calibrate without it \
-                     (OpenCV's CALIB_RATIONAL_MODEL at most)",
-                    p.distortion[i]
-                ),
-            ));
-        }
-    }
-    p.distortion.truncate(THIN_PRISM.start);
-    Ok(())
-}
-
-fn error(field: &'static str, message: String) -> CameraError {
-    CameraError { field, message }
-}
-
-fn check_numbers(p: &CameraParameters) -> Result<(), CameraError> {
-    for (field, side) in [("width", p.width), ("height", p.height)] {
-        if !(1..=MAX_SIDE_PX).contains(&side) {
-            return Err(error(
-                field,
-                format!("{field} must be between 1 and {MAX_SIDE_PX} pixels, not {side}"),
-            ));
-        }
-    }
-    let longer = f64::from(p.width.max(p.height));
-    for (field, focal) in [("fx", p.fx), ("fy", p.fy)] {
-        if !(focal.is_finite() && focal > 0.0) {
-            return Err(error(
-                field,
-                format!("{field} must be a positive focal length in pixels, not {focal}"),
-            ));
-        }
-        if !FOCAL_SHARES.contains(&(focal / longer)) {
-            let (least, most) = (FOCAL_SHARES.start() * longer, FOCAL_SHARES.end() * longer);
-            let hint = if focal < least {
-                "; millimeters become pixels when divided by the width of the sensor and multiplied by that of the image"
-            } else {
-                ""
-            };
-            return Err(error(
-                field,
-                format!(
-                    "{field} must be a focal length in pixels, between {least} and {most} for images of {}x{}, not \
-                     {focal}{hint}",
-                    p.width, p.height
-                ),
-            ));
-        }
-    }
-    for (field, center, side) in [("cx", p.cx, p.width), ("cy", p.cy, p.height)] {
-        let end = f64::from(side) - 0.5;
-        if !(center >= -0.5 && center <= end) {
-            return Err(error(
-                field,
-                format!("{field} must be inside the image, between -0.5 and {end}, not {center}"),
-            ));
-        }
-    }
-    check_coefficients(p)
-}
-
-fn check_coefficients(p: &CameraParameters) -> Result<(), CameraError> {
-    let counts = p.model.coefficient_counts();
-    if !counts.contains(&p.distortion.len()) {
-        let allowed = counts.iter().map(ToString::to_string).collect::<Vec<_>>().join(" or ");
-        return Err(error(
-            "distortion",
-            format!(
-                "distortion of the {} model must have {allowed} coefficients, not {}",
-                p.model.name(),
-                p.distortion.len()
-            ),
-        ));
-    }
-    if let Some((i, k)) = p.distortion.iter().enumerate().find(|(_, k)| !k.is_finite()) {
-        return Err(error("distortion", format!("distortion coefficient {i} must be finite, not {k}")));
-    }
-    if p.model == CameraModel::Fov && !(1e-6..3.1).contains(&p.distortion[0]) {
-        return Err(error(
-            "distortion",
-            format!(
-                "distortion of the fov model must be an angle between 0.000001 and 3.1 radians, not {}",
-                p.distortion[0]
-            ),
-        ));
-    }
-    Ok(())
 }

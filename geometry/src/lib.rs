@@ -43,6 +43,7 @@ pub mod triangulation;
 pub mod two_view;
 
 mod camera;
+mod camera_parameters;
 mod correction;
 mod direction;
 mod distortion;
@@ -51,7 +52,8 @@ mod polynomial;
 mod pose;
 mod similarity;
 
-pub use camera::{Camera, CameraError, CameraModel, CameraParameters, MAX_UNDISTORTED_ANGLE_DEG};
+pub use camera::{Camera, MAX_UNDISTORTED_ANGLE_DEG};
+pub use camera_parameters::{CameraError, CameraModel, CameraParameters};
 pub use correction::{CameraCorrection, CorrectedPixels};
 pub use direction::Direction;
 pub use line::{Line3, OrthonormalLine};
