@@ -91,6 +91,20 @@ pub struct CameraError {
 }
 
 impl CameraParameters {
+    /// A camera of which only the focal length is known, pixels: without distortion, its principal point in
+    /// the middle of the image.
+    pub fn of_focal_length(width: u32, height: u32, focal_px: f64) -> Self {
+        let [cx, cy] = [width, height].map(|side| 0.5 * (f64::from(side) - 1.0));
+        let (fx, fy, distortion) = (focal_px, focal_px, Vec::new());
+        Self { model: CameraModel::Pinhole, width, height, fx, fy, cx, cy, distortion }
+    }
+
+    /// The same of a field of view across the longer side of the image, degrees.
+    pub fn of_field_of_view(width: u32, height: u32, fov_deg: f64) -> Self {
+        let focal_px = 0.5 * f64::from(width.max(height)) / (0.5 * fov_deg.to_radians()).tan();
+        Self::of_focal_length(width, height, focal_px)
+    }
+
     /// Takes off the coefficients of thin prisms and of a tilted sensor, which must be zero.
     pub(crate) fn drop_zero_tail(&mut self) -> Result<(), CameraError> {
         let n = self.distortion.len();

@@ -196,8 +196,8 @@ fn map_of(recording: &Recording, truth: &Trajectory) -> (Localizer, Alignment) {
         turns[turns.len() * 19 / 20],
         recording.camera.with_correction(map.correction()).pinhole().mean_focal_px()
     );
-    let localizer =
-        Localizer::new(config, recording.camera.clone(), map.to_parts(), Arc::new(NoClock)).expect("a map");
+    let localizer = Localizer::new(config, recording.camera.clone(), None, map.to_parts(), Arc::new(NoClock))
+        .expect("a map");
     (localizer, aligned)
 }
 

@@ -29,7 +29,7 @@ pub struct LocalizeArgs {
     /// for images of its size, else unknown]
     #[arg(long, value_name = "FILE", conflicts_with = "fov")]
     camera: Option<PathBuf>,
-    /// Horizontal field of view of the images, degrees
+    /// Field of view across the longer side of the images, degrees
     #[arg(long, value_name = "DEG", value_parser = positive)]
     fov: Option<f64>,
     /// Where the camera is thought to be, as lengths of the session are told

@@ -320,7 +320,7 @@ pub struct LocalizeRequest {
     /// The image's camera.
     #[prost(message, optional, tag = "3")]
     pub camera: ::core::option::Option<Camera>,
-    /// Horizontal field of view, degrees, of a camera without distortion.
+    /// Field of view across the longer side of the image, degrees, of a camera without distortion.
     #[prost(double, optional, tag = "4")]
     pub fov_deg: ::core::option::Option<f64>,
     /// Nothing is known of the camera, even if its images have the session's size.

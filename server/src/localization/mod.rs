@@ -17,10 +17,10 @@ use crate::session::{
 };
 use cache::{Cache, MapState};
 use geometry::nalgebra::{Matrix6, Vector3};
-use geometry::{Camera, CameraModel, CameraParameters};
+use geometry::{Camera, CameraParameters};
 use sketch::{MIN_VOTES, Sketch, looks_of};
 use slam::map::FrameState;
-use slam::{Found, LocalizeCamera, Localizer, Near};
+use slam::{Found, LocalizeCamera, Localizer, Near, ResumeState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use store::{SessionRecord, Store};
@@ -34,7 +34,7 @@ pub const MAX_SESSIONS: usize = 1000;
 const MAX_TRIED: usize = 6;
 /// Landmarks that show a place beyond doubt: no further map is looked at.
 const BEYOND_DOUBT: usize = 100;
-/// Horizontal fields of view a camera without distortion can have, degrees.
+/// Fields of view, across the longer side of the image, that a camera without distortion can have, degrees.
 const FIELDS_OF_VIEW_DEG: std::ops::RangeInclusive<f64> = 5.0..=170.0;
 /// By how much the sides' ratio of an image may differ from the session's camera's and be taken for the same.
 const SAME_ASPECT: f64 = 0.01;
@@ -47,7 +47,7 @@ pub enum AskedCamera {
     Unsaid,
     /// This one.
     Given(CameraParameters),
-    /// It has no distortion and this horizontal field of view, degrees.
+    /// It has no distortion and this field of view across the longer side of the image, degrees.
     FieldOfView(f64),
     /// Nobody knows.
     Unknown,
@@ -287,7 +287,8 @@ impl Localization {
         }
         let stored = read(&LoadContext { store: &self.0.store, id }).await?;
         let making = move || {
-            Localizer::new(stored.config, stored.camera, stored.state.map, Arc::new(SystemClock::new()))
+            let ResumeState { map, mask, .. } = stored.state;
+            Localizer::new(stored.config, stored.camera, mask, map, Arc::new(SystemClock::new()))
         };
         let made = turn.work(making).await?;
         let localizer = made.map_err(|error| {
@@ -384,18 +385,7 @@ fn cameras_to_try(
     match asked {
         AskedCamera::Given(camera) => Ok(vec![given(crate::options::check_camera(camera.clone())?)]),
         AskedCamera::FieldOfView(degrees) => {
-            let focal_px = f64::from(width) / 2.0 / (degrees.to_radians() / 2.0).tan();
-            let center = |side: u32| (f64::from(side) - 1.0) / 2.0;
-            let camera = CameraParameters {
-                model: CameraModel::Pinhole,
-                width,
-                height,
-                fx: focal_px,
-                fy: focal_px,
-                cx: center(width),
-                cy: center(height),
-                distortion: Vec::new(),
-            };
+            let camera = CameraParameters::of_field_of_view(width, height, *degrees);
             Ok(vec![given(crate::options::check_camera(camera)?)])
         }
         AskedCamera::Unknown => Ok(vec![LocalizeCamera::Unknown]),

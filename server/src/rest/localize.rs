@@ -83,7 +83,7 @@ pub(super) struct ImageParams {
     /// The image's camera as JSON, such as
     /// `{"model":"pinhole","width":640,"height":480,"fx":525,"fy":525,"cx":319.5,"cy":239.5}`.
     camera: Option<String>,
-    /// Horizontal field of view, degrees, of a camera without distortion.
+    /// Field of view across the longer side of the image, degrees, of a camera without distortion.
     fov_deg: Option<f64>,
     /// Nothing is known of the camera, even if the image has the session's size.
     unknown_camera: bool,
@@ -102,7 +102,7 @@ pub(super) struct ManyParams {
     sessions: Option<String>,
     /// The image's camera as JSON.
     camera: Option<String>,
-    /// Horizontal field of view, degrees, of a camera without distortion.
+    /// Field of view across the longer side of the image, degrees, of a camera without distortion.
     fov_deg: Option<f64>,
     /// Nothing is known of the camera, even if the image has a session's size.
     unknown_camera: bool,
@@ -190,7 +190,8 @@ pub(super) async fn localize(
     (status = 404, description = "No such session", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 415, description = "The body is said to be something else than an image", body = ProblemDetails, content_type = "application/problem+json"),
     (status = 413, description = "The image is too large", body = ProblemDetails, content_type = "application/problem+json"),
-    (status = 429, description = "Too many wait", body = ProblemDetails, content_type = "application/problem+json")
+    (status = 429, description = "Too many wait", body = ProblemDetails, content_type = "application/problem+json"),
+    (status = 503, description = "It took too long", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn localize_among(
     State(app): State<App>,

@@ -1,7 +1,7 @@
 //! Configuration of self-calibration: refinement of the camera.
 
 use super::ConfigError;
-use geometry::{CameraCorrection, CameraModel, CameraParameters};
+use geometry::{CameraCorrection, CameraParameters};
 
 /// A principal point farther from the middle than this share of the image is doubtful: calibrated cameras,
 /// also those of cropped images, lie within a tenth.
@@ -186,18 +186,8 @@ impl CalibrationConfig {
 
     /// The camera to begin with where nothing is known but the size of its image.
     pub fn camera_of_size(&self, width: u32, height: u32) -> CameraParameters {
-        let focal = self.unknown_focal_share * f64::from(width.max(height));
-        let center = |side: u32| (f64::from(side) - 1.0) / 2.0;
-        CameraParameters {
-            model: CameraModel::Pinhole,
-            width,
-            height,
-            fx: focal,
-            fy: focal,
-            cx: center(width),
-            cy: center(height),
-            distortion: Vec::new(),
-        }
+        let focal_px = self.unknown_focal_share * f64::from(width.max(height));
+        CameraParameters::of_focal_length(width, height, focal_px)
     }
 
     /// Keyframes from which on the camera is looked at.

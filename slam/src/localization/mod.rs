@@ -11,12 +11,12 @@ use crate::config::{SlamConfig, Threading};
 use crate::features::View;
 use crate::frame_result::FrameResult;
 use crate::front_end::{CameraState, FrontEnd};
-use crate::input::ResumeError;
+use crate::input::{ResumeError, SceneMask};
 use crate::map::{Map, MapParts};
 use crate::report::{FrameReport, InitializationWait, LostReason, TrackingOutcome};
 use crate::tracking::{Located, Tracker};
 use geometry::nalgebra::{Matrix3, Matrix6, Vector3};
-use geometry::{Camera, CameraModel, CameraParameters};
+use geometry::{Camera, CameraParameters};
 use std::sync::Arc;
 use vision::GrayImage;
 use vision::lines::LineTrackingStatistics;
@@ -79,6 +79,8 @@ pub struct Found {
 pub struct Localizer {
     config: SlamConfig,
     camera: Camera,
+    /// What of the session's own images is not the scene.
+    mask: Option<SceneMask>,
     map: Map,
     tracker: Tracker,
     clock: Arc<dyn Clock>,
@@ -100,6 +102,7 @@ impl Localizer {
     pub fn new(
         config: SlamConfig,
         camera: Camera,
+        mask: Option<SceneMask>,
         map: MapParts,
         clock: Arc<dyn Clock>,
     ) -> Result<Self, ResumeError> {
@@ -111,7 +114,7 @@ impl Localizer {
         let map = Map::from_parts(map)?;
         let mut tracker = Tracker::new(config.clone(), config.working_camera(&camera), None)?;
         tracker.sync_map(&map);
-        Ok(Self { config, camera, map, tracker, clock })
+        Ok(Self { config, camera, mask, map, tracker, clock })
     }
 
     /// The map.
@@ -225,7 +228,8 @@ impl Localizer {
         is_own: bool,
         stopwatch: &mut Stopwatch,
     ) -> Result<(View, LineTrackingStatistics), ResumeError> {
-        let mut front_end = FrontEnd::new(config, camera, 0, None)?;
+        let mask = self.mask.clone().filter(|_| is_own);
+        let mut front_end = FrontEnd::new(config, camera, 0, mask)?;
         if is_own {
             front_end.correct_camera(self.map.correction());
         }
@@ -291,10 +295,7 @@ fn simple_camera(image: &GrayImage, focal_px: f64) -> Option<Camera> {
     if !FOCAL_SHARES.contains(&(focal_px / f64::from(width.max(height)))) {
         return None;
     }
-    let center = |side: u32| (f64::from(side) - 1.0) / 2.0;
-    let (fx, fy, cx, cy) = (focal_px, focal_px, center(width), center(height));
-    let (model, distortion) = (CameraModel::Pinhole, Vec::new());
-    Camera::new(CameraParameters { model, width, height, fx, fy, cx, cy, distortion }).ok()
+    Camera::new(CameraParameters::of_focal_length(width, height, focal_px)).ok()
 }
 
 /// From the tangent of `camera_from_world`, turn before shift, to position and attitude in the world.

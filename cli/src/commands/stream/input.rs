@@ -202,7 +202,7 @@ fn open_folder(path: &Path, args: &InputArgs, fps: Option<f64>, calibration: Opt
         let refused =
             |error: anyhow::Error| FileError::Content { path: folder.clone(), message: format!("{error:#}") };
         let camera = if is_unknown {
-            from_field_of_view(STAND_IN_FOV_DEG, width, height)
+            CameraParameters::of_field_of_view(width, height, STAND_IN_FOV_DEG)
         } else {
             given.camera(&folder.join("images"), &name, (width, height)).map_err(refused)?
         };
@@ -349,7 +349,7 @@ impl Given<'_> {
                     "the calibration of {name} is taken from a field of view of {fov_deg} degrees, without \
                      distortion: shapes come out wrong as far as that is"
                 );
-                return Ok(from_field_of_view(fov_deg, width, height));
+                return Ok(CameraParameters::of_field_of_view(width, height, fov_deg));
             }
         };
         if (camera.width, camera.height) == (width, height) {
@@ -378,21 +378,6 @@ fn of_size(width: u32, height: u32) -> CameraParameters {
     CameraParameters { model, width, height, fx: 0.0, fy: 0.0, cx: 0.0, cy: 0.0, distortion }
 }
 
-fn from_field_of_view(fov_deg: f64, width: u32, height: u32) -> CameraParameters {
-    let focal = 0.5 * f64::from(width.max(height)) / (0.5 * fov_deg.to_radians()).tan();
-    let [cx, cy] = [width, height].map(|side| 0.5 * (f64::from(side) - 1.0));
-    CameraParameters {
-        model: CameraModel::Pinhole,
-        width,
-        height,
-        fx: focal,
-        fy: focal,
-        cx,
-        cy,
-        distortion: Vec::new(),
-    }
-}
-
 fn field_of_view(text: &str) -> Result<f64, String> {
     text.parse()
         .ok()
@@ -411,10 +396,10 @@ mod tests {
 
     #[test]
     fn a_field_of_view_is_across_the_longer_side() {
-        let camera = from_field_of_view(90.0, 640, 480);
+        let camera = CameraParameters::of_field_of_view(640, 480, 90.0);
         assert!((camera.fx - 320.0).abs() < 1e-9 && (camera.fx - camera.fy).abs() < 1e-12);
         assert_eq!((camera.cx, camera.cy), (319.5, 239.5));
-        assert!((from_field_of_view(90.0, 480, 640).fx - 320.0).abs() < 1e-9);
+        assert!((CameraParameters::of_field_of_view(480, 640, 90.0).fx - 320.0).abs() < 1e-9);
     }
 
     #[test]
@@ -439,7 +424,7 @@ mod tests {
         assert_eq!(camera_of(None, None).unwrap().fx, 60.0);
         // A field of view that is asked for goes before a file that is not.
         assert!(camera_of(None, Some(90.0)).unwrap().fx < 33.0);
-        let recorded = Some(from_field_of_view(60.0, 64, 48));
+        let recorded = Some(CameraParameters::of_field_of_view(64, 48, 60.0));
         let given = Given { file: None, fov_deg: None, recorded: recorded.clone() };
         assert_eq!(Some(given.camera(&video, "a.mp4", (64, 48)).unwrap()), recorded);
         calibration(48, 64);
