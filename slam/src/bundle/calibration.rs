@@ -132,11 +132,7 @@ impl<'a> Calibration<'a> {
                     continue;
                 };
                 let feature_idx = seen.feature_idx as usize;
-                let factor = CalibratedReprojectionFactor {
-                    nominal: keyframe.features.nominal_pinhole,
-                    observed_px: keyframe.features.nominal_px(feature_idx),
-                    inverse_sigma: 1.0 / keyframe.features.sigma_px(feature_idx),
-                };
+                let factor = CalibratedReprojectionFactor::of(keyframe, feature_idx);
                 factors.push(((*pose, correction, variable), factor));
                 point_of.push(points.len());
                 keyframe_of.push(positions[&seen.keyframe]);

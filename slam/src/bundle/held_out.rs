@@ -86,7 +86,10 @@ impl Fit {
                 match poses.get(&seen.keyframe) {
                     Some(pose) => {
                         let Some(keyframe) = map.keyframe(seen.keyframe) else { continue };
-                        factors.push(((*pose, correction, variable), factor(keyframe, feature_idx)));
+                        factors.push((
+                            (*pose, correction, variable),
+                            CalibratedReprojectionFactor::of(keyframe, feature_idx),
+                        ));
                     }
                     None => left_out.push((seen.keyframe, feature_idx)),
                 }
@@ -132,7 +135,10 @@ impl Fit {
             for (position, feature_idx) in points {
                 let point = problem.add_variable(position);
                 problem.set_fixed(point, true);
-                factors.push(((pose, correction, point), factor(keyframe, feature_idx)));
+                factors.push((
+                    (pose, correction, point),
+                    CalibratedReprojectionFactor::of(keyframe, feature_idx),
+                ));
             }
         }
         if factors.is_empty() {
@@ -142,13 +148,5 @@ impl Fit {
         let options = SolverOptions { max_iterations: config.max_iterations, ..SolverOptions::default() };
         problem.solve(&options, aborted);
         Some(problem.cost_of(group).robust)
-    }
-}
-
-fn factor(keyframe: &Keyframe, feature_idx: usize) -> CalibratedReprojectionFactor {
-    CalibratedReprojectionFactor {
-        nominal: keyframe.features.nominal_pinhole,
-        observed_px: keyframe.features.nominal_px(feature_idx),
-        inverse_sigma: 1.0 / keyframe.features.sigma_px(feature_idx),
     }
 }

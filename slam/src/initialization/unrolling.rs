@@ -1,14 +1,12 @@
 //! Rolling shutter at the beginning: how the camera moved while each of the two views was read follows from
 //! where the views beside them were taken, seen from the first points. [method: Rolling shutter]
 
-use super::{InitialPair, REFERENCE_WIDTH_PX, matching::match_views};
+use super::{InitialPair, third_view};
 use crate::config::InitializationConfig;
 use crate::features::View;
 use crate::rolling_shutter::{InverseDepths, RollingShutter, Velocity};
 use geometry::Pose;
-use geometry::absolute_pose::{PoseObservation, ransac_pose};
 use geometry::nalgebra::Vector3;
-use geometry::ransac::RansacConfig;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -77,28 +75,10 @@ fn velocity_of(
     let interval_ns = |view: &View| view.timestamp_ns - side.view.timestamp_ns;
     let beside = views.iter().filter(|view| view.sequence != side.view.sequence);
     let beside = beside.min_by_key(|view| interval_ns(view).abs())?;
-    let motion = place(side, beside, config, rng)? * side.camera_from_first.inverse();
+    let placed = third_view::place(side.view, side.points.iter().copied(), beside, config, rng).0?;
+    if placed.n_inliers < MIN_AGREEING {
+        return None;
+    }
+    let motion = placed.model * side.camera_from_first.inverse();
     RollingShutter::velocity(&motion, interval_ns(beside))
-}
-
-fn place(side: &Side, other: &View, config: &InitializationConfig, rng: &mut ChaCha8Rng) -> Option<Pose> {
-    let features = &other.features;
-    let radius_px = config.search_radius_px * features.width_px() / REFERENCE_WIDTH_PX;
-    let counterparts: BTreeMap<usize, usize> =
-        match_views(&side.view.features, features, radius_px).into_iter().collect();
-    let observations: Vec<PoseObservation> = side
-        .points
-        .iter()
-        .filter_map(|(idx, position)| {
-            let other_idx = *counterparts.get(idx)?;
-            Some(PoseObservation {
-                bearing: features.pinhole.bearing(&features.undistorted[other_idx]),
-                point: *position,
-                sigma_rad: features.sigma_px(other_idx) / features.pinhole.mean_focal_px(),
-            })
-        })
-        .collect();
-    let search = RansacConfig { max_iterations: config.max_iterations, ..RansacConfig::default() };
-    let found = ransac_pose(&observations, &search, rng)?;
-    (found.n_inliers >= MIN_AGREEING).then_some(found.model)
 }

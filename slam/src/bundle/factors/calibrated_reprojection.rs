@@ -1,6 +1,7 @@
 //! How far a keypoint lies from the projection of its point by a camera that is not exactly known.
 
 use super::point_reprojection::MIN_DEPTH;
+use crate::map::Keyframe;
 use geometry::nalgebra::{Matrix2, Matrix2x3, Matrix2x6, SMatrix, SVector, Vector2, Vector3};
 use geometry::{CameraCorrection, Pinhole, Pose, so3};
 use optim::{Factor, Linearized};
@@ -22,6 +23,17 @@ pub struct CalibratedReprojectionFactor {
     pub observed_px: Vector2<f64>,
     /// One over the standard deviation of the keypoint's position, 1/pixels.
     pub inverse_sigma: f64,
+}
+
+impl CalibratedReprojectionFactor {
+    /// Of a keypoint of a keyframe.
+    pub(crate) fn of(keyframe: &Keyframe, feature_idx: usize) -> Self {
+        Self {
+            nominal: keyframe.features.nominal_pinhole,
+            observed_px: keyframe.features.nominal_px(feature_idx),
+            inverse_sigma: 1.0 / keyframe.features.sigma_px(feature_idx),
+        }
+    }
 }
 
 /// A correction as a vector to be optimized.
