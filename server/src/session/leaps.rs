@@ -31,7 +31,7 @@ impl Leaps {
     ///
     /// # Errors
     /// If it is too far beyond the one that is expected.
-    pub fn check_sequence(&self, last_frame: Option<(u64, i64)>, sequence: u64) -> Result<(), Rejection> {
+    fn check_sequence(&self, last_frame: Option<(u64, i64)>, sequence: u64) -> Result<(), Rejection> {
         let expected = last_frame.map_or(0, |(last, _)| last.saturating_add(1));
         let leap = sequence.saturating_sub(expected);
         if leap <= self.max_sequence {
@@ -49,7 +49,7 @@ impl Leaps {
     ///
     /// # Errors
     /// If it is not after that of the frame before, or too far.
-    pub fn check_time(
+    fn check_time(
         &self,
         last_frame: Option<(u64, i64)>,
         sequence: u64,
@@ -74,28 +74,57 @@ impl Leaps {
     }
 }
 
-/// The engine's time of a frame.
-///
-/// # Errors
-/// If there is no such time.
-pub fn engine_time(sequence: u64, timestamp_ns: i64, ahead_ns: i64) -> Result<i64, Rejection> {
-    timestamp_ns.checked_add(ahead_ns).ok_or_else(|| out_of_range(sequence, timestamp_ns))
+/// The engine's times of a session's frames, which only go on, whatever the client's clock does.
+#[derive(Debug)]
+pub struct EngineTimes {
+    leaps: Leaps,
+    /// By how much they are ahead of the client's, nanoseconds.
+    ahead_ns: i64,
+    /// The next new frame begins a segment.
+    begins_segment: bool,
 }
 
-/// By how much the engine's times are ahead in a segment that begins with a frame.
-///
-/// # Errors
-/// If the engine has no times left, or the frame's is none.
-pub fn ahead_of_segment(
-    (_, last_timestamp_ns): (u64, i64),
-    last_ahead_ns: i64,
-    sequence: u64,
-    timestamp_ns: i64,
-) -> Result<i64, Rejection> {
-    let begin =
-        last_timestamp_ns.checked_add(last_ahead_ns).and_then(|ns| ns.checked_add(BETWEEN_SEGMENTS_NS));
-    let ahead_ns = begin.and_then(|begin| begin.checked_sub(timestamp_ns));
-    ahead_ns.ok_or_else(|| out_of_range(sequence, timestamp_ns))
+impl EngineTimes {
+    /// `ahead_ns` is by how much they are ahead in the segment that was begun last, nanoseconds.
+    pub fn new(leaps: Leaps, ahead_ns: i64) -> Self {
+        Self { leaps, ahead_ns, begins_segment: false }
+    }
+
+    /// A stream begins, and with its first new frame a segment or not.
+    pub fn begin_stream(&mut self, begins_segment: bool) {
+        self.begins_segment = begins_segment;
+    }
+
+    /// That of a new frame. `begin` stores that it begins a segment, where one is to begin.
+    ///
+    /// # Errors
+    /// If the frame's number or time cannot be meant, there is no such time, or `begin` failed.
+    pub fn of(
+        &mut self,
+        last_frame: Option<(u64, i64)>,
+        sequence: u64,
+        timestamp_ns: i64,
+        begin: impl FnOnce(i64) -> Result<(), ApiError>,
+    ) -> Result<i64, Rejection> {
+        self.leaps.check_sequence(last_frame, sequence)?;
+        match last_frame.filter(|_| self.begins_segment) {
+            None => self.leaps.check_time(last_frame, sequence, timestamp_ns)?,
+            Some((_, last_timestamp_ns)) => {
+                let ahead_ns = self.ahead_of_segment(last_timestamp_ns, timestamp_ns);
+                let ahead_ns = ahead_ns.ok_or_else(|| out_of_range(sequence, timestamp_ns))?;
+                begin(ahead_ns).map_err(|error| not_begun(sequence, &error))?;
+                (self.ahead_ns, self.begins_segment) = (ahead_ns, false);
+            }
+        }
+        timestamp_ns.checked_add(self.ahead_ns).ok_or_else(|| out_of_range(sequence, timestamp_ns))
+    }
+
+    /// By how much they are ahead in a segment that begins with a frame of this time; `None` if there are no
+    /// times left.
+    fn ahead_of_segment(&self, last_timestamp_ns: i64, timestamp_ns: i64) -> Option<i64> {
+        let last_ns = last_timestamp_ns.checked_add(self.ahead_ns)?;
+        last_ns.checked_add(BETWEEN_SEGMENTS_NS)?.checked_sub(timestamp_ns)
+    }
 }
 
 fn out_of_range(sequence: u64, timestamp_ns: i64) -> Rejection {
@@ -105,7 +134,7 @@ fn out_of_range(sequence: u64, timestamp_ns: i64) -> Rejection {
 }
 
 /// A segment that could not be stored.
-pub fn not_begun(sequence: u64, error: &ApiError) -> Rejection {
+fn not_begun(sequence: u64, error: &ApiError) -> Rejection {
     let reason = format!("a new segment cannot be begun now: {error}");
     Rejection { sequence, field: "timestamp_ns", reason, code: "SEGMENT_NOT_BEGUN" }
 }
@@ -144,13 +173,28 @@ mod tests {
 
     #[test]
     fn the_engines_times_go_on_whatever_the_clock_says() {
-        let (last, ahead_ns) = ((7, 50_000), 200);
+        let begun = |last, ahead_ns, timestamp_ns| {
+            let mut times = EngineTimes::new(Leaps::of(&SessionConfig::default()), ahead_ns);
+            times.begin_stream(true);
+            let mut stored = None;
+            let engine_ns = times.of(Some(last), 8, timestamp_ns, |ahead_ns| {
+                stored = Some(ahead_ns);
+                Ok(())
+            });
+            engine_ns.map(|engine_ns| (engine_ns, stored, times.ahead_ns))
+        };
         for timestamp_ns in [-1_000_000, 0, 49_000, i64::MAX / 2] {
-            let ahead_ns = ahead_of_segment(last, ahead_ns, 8, timestamp_ns).unwrap();
-            assert_eq!(engine_time(8, timestamp_ns, ahead_ns).unwrap(), 50_200 + BETWEEN_SEGMENTS_NS);
+            let (engine_ns, stored, ahead_ns) = begun((7, 50_000), 200, timestamp_ns).unwrap();
+            assert_eq!(engine_ns, 50_200 + BETWEEN_SEGMENTS_NS);
+            assert_eq!((stored, timestamp_ns + ahead_ns), (Some(ahead_ns), engine_ns));
         }
-        assert!(ahead_of_segment((7, i64::MAX), 0, 8, 0).is_err());
-        assert!(ahead_of_segment(last, ahead_ns, 8, i64::MIN).is_err());
-        assert!(engine_time(8, i64::MAX, 1).is_err());
+        assert!(begun((7, i64::MAX), 0, 0).is_err());
+        assert!(begun((7, 50_000), 200, i64::MIN).is_err());
+        let mut times = EngineTimes::new(Leaps::of(&SessionConfig::default()), 1);
+        assert!(times.of(None, 0, i64::MAX, |_| Ok(())).is_err());
+        times.begin_stream(true);
+        let not_stored = times.of(Some((7, 5)), 8, 3, |_| Err(ApiError::internal("no disk")));
+        assert_eq!(not_stored.unwrap_err().code, "SEGMENT_NOT_BEGUN");
+        assert_eq!(times.ahead_ns, 1, "nothing was begun");
     }
 }

@@ -9,6 +9,7 @@ mod images;
 mod journal;
 mod leaps;
 mod load;
+mod mask_keeper;
 mod occupancy;
 mod queue;
 mod recent;

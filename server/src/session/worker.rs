@@ -4,28 +4,31 @@
 //! thread tracks them, answers go back through a bounded channel, and map updates go to the session's writer.
 //! At the end of a stream everything is flushed before the client sees the end.
 
+#[cfg(test)]
+mod tests;
+
 use super::SessionId;
 use super::decoder::{self, Decoded};
 use super::events::Events;
 use super::frame::{Answer, Before, FrameOutcome, Rejection, Reply, SentImage};
 use super::gallery::ShownFrame;
 use super::images::CandidateImages;
-use super::leaps::{self, Leaps};
+use super::leaps::{EngineTimes, Leaps};
 use super::load::History;
+use super::mask_keeper::MaskKeeper;
 use super::queue::{Ending, FrameQueue, Policy};
 use super::recent::RecentAnswers;
 use super::view::Live;
 use super::writer::Outbox;
 use crate::error::{ApiError, ErrorCode};
 use slam::map::FrameState;
-use slam::{FrameReport, Pipeline, SceneMask, TrackingOutcome};
+use slam::{FrameReport, Pipeline, TrackingOutcome};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
-use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use vision::decode::{DecodeLimits, SampleDepth};
 
@@ -115,20 +118,14 @@ pub struct Worker {
     ends: Ends,
     /// Number and time of the last frame, stored or not.
     last_frame: Option<(u64, i64)>,
-    /// By how much the engine's times are ahead of the client's, nanoseconds.
-    ahead_ns: i64,
-    /// The next new frame begins a segment.
-    begins_segment: bool,
+    times: EngineTimes,
     recent: RecentAnswers,
     images: CandidateImages,
     /// What is known of samples of 16 bits.
     depth: SampleDepth,
     /// Frames tracked since the session was loaded.
     n_frames: u64,
-    /// What of the images is left out, as it was saved last.
-    saved_mask: Option<SceneMask>,
-    /// That is being saved.
-    mask_saving: Option<JoinHandle<()>>,
+    mask_keeper: MaskKeeper,
     runtime: Handle,
 }
 
@@ -148,7 +145,8 @@ impl Worker {
         let Persistence { outbox, history, last_frame, ahead_ns } = persistence;
         let (recent, images) = (RecentAnswers::default(), CandidateImages::default());
         let (depth, n_frames) = (SampleDepth::default(), 0);
-        let saved_mask = pipeline.mask().cloned();
+        let times = EngineTimes::new(config.leaps, ahead_ns);
+        let mask_keeper = MaskKeeper::new(history.clone(), runtime.clone(), pipeline.mask().cloned());
         Self {
             id,
             config,
@@ -157,14 +155,12 @@ impl Worker {
             history,
             ends,
             last_frame,
-            ahead_ns,
-            begins_segment: false,
+            times,
             recent,
             images,
             depth,
             n_frames,
-            saved_mask,
-            mask_saving: None,
+            mask_keeper,
             runtime,
         }
     }
@@ -235,7 +231,7 @@ impl Worker {
     fn serve(&mut self, stream: Stream) {
         self.pipeline.set_mapping(stream.mode == Mode::MapAndLocalize);
         self.pipeline.set_lossless(stream.policy == Policy::Lossless);
-        self.begins_segment = stream.new_segment;
+        self.times.begin_stream(stream.new_segment);
         self.track_all(&stream);
         let saved = self.flush();
         let ending: Ending = match stream.queue.ending() {
@@ -311,7 +307,7 @@ impl Worker {
             self.images.offer(sequence, sent.clone(), state, report.is_keyframe);
         }
         self.hand_over_updates(Pipeline::take_updates);
-        self.save_mask();
+        self.mask_keeper.offer(self.pipeline.mask());
         self.publish(Some(state));
         let metres_per_unit = *self.ends.scale.borrow();
         // Where images are not to be kept, they are not shown either.
@@ -327,25 +323,14 @@ impl Worker {
         Reply::Answered(Box::new(Answer { report, durable_sequence, queued_ns, metres_per_unit }))
     }
 
-    /// The engine's time of a new frame, which only goes on; begins a segment where one is to begin.
+    /// The engine's time of a new frame; begins a segment where one is to begin.
     fn engine_time(&mut self, sequence: u64, timestamp_ns: i64) -> Result<i64, Rejection> {
-        let leaps = self.config.leaps;
-        leaps.check_sequence(self.last_frame, sequence)?;
-        let Some(last_frame) = self.last_frame.filter(|_| self.begins_segment) else {
-            leaps.check_time(self.last_frame, sequence, timestamp_ns)?;
-            return leaps::engine_time(sequence, timestamp_ns, self.ahead_ns);
-        };
-        let ahead_ns = leaps::ahead_of_segment(last_frame, self.ahead_ns, sequence, timestamp_ns)?;
-        let begun = self.runtime.block_on(self.history.begin_segment(sequence, ahead_ns));
-        begun.map_err(|error| leaps::not_begun(sequence, &error))?;
-        let id = &self.id;
-        tracing::info!(
-            session.id = id.as_str(),
-            sequence,
-            "session {id}: frame {sequence} begins a new segment"
-        );
-        (self.ahead_ns, self.begins_segment) = (ahead_ns, false);
-        leaps::engine_time(sequence, timestamp_ns, ahead_ns)
+        let Self { runtime, history, id, .. } = self;
+        self.times.of(self.last_frame, sequence, timestamp_ns, |ahead_ns| {
+            runtime.block_on(history.begin_segment(sequence, ahead_ns))?;
+            tracing::info!(session.id = id.as_str(), "session {id}: frame {sequence} begins a new segment");
+            Ok(())
+        })
     }
 
     /// The answer to a frame that was answered before.
@@ -358,27 +343,10 @@ impl Worker {
         Reply::Repeated { sequence, timestamp_ns, before, durable_sequence, metres_per_unit }
     }
 
-    /// Saves what was found not to be the scene, beside everything else, one state at a time: should it be
-    /// lost, it is found again.
-    fn save_mask(&mut self) {
-        let is_busy = self.mask_saving.as_ref().is_some_and(|saving| !saving.is_finished());
-        if is_busy || self.pipeline.mask() == self.saved_mask.as_ref() {
-            return;
-        }
-        self.saved_mask = self.pipeline.mask().cloned();
-        let (history, mask) = (self.history.clone(), self.saved_mask.clone());
-        self.mask_saving = Some(self.runtime.spawn(async move { history.save_mask(mask).await }));
-    }
-
     /// Finishes what mapping has begun and waits until everything is saved.
     fn flush(&mut self) -> Result<(), ApiError> {
         self.hand_over_updates(Pipeline::finish);
-        for _ in 0..2 {
-            if let Some(saving) = self.mask_saving.take() {
-                let _ = self.runtime.block_on(saving);
-            }
-            self.save_mask();
-        }
+        self.mask_keeper.finish(self.pipeline.mask());
         let state = self.ends.live.borrow().state;
         self.publish(state);
         self.runtime.block_on(self.outbox.flush())
@@ -465,115 +433,4 @@ fn record_frame(report: &FrameReport, queued_ns: u64) {
 fn panic_message(panic: &(dyn std::any::Any + Send)) -> &str {
     let text = panic.downcast_ref::<&str>().copied();
     text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("a panic without a message")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::session::frame::{Encoding, SentFrame};
-    use crate::session::queue::Queued;
-    use crate::session::writer;
-    use geometry::{Camera, CameraModel, CameraParameters};
-    use slam::{Clock, MapUpdate, SlamConfig};
-    use std::sync::atomic::{AtomicBool, Ordering};
-    use store::KeyframeImage;
-    use vision::decode::PixelFormat;
-
-    const WIDTH: u32 = 160;
-    const HEIGHT: u32 = 120;
-
-    /// A clock that panics once it is told to: the only part of the engine a test can make fail.
-    #[derive(Default)]
-    struct FragileClock(AtomicBool);
-
-    impl Clock for FragileClock {
-        fn wall_ns(&self) -> u64 {
-            assert!(!self.0.load(Ordering::SeqCst), "the clock fell down");
-            0
-        }
-        fn thread_cpu_ns(&self) -> u64 {
-            0
-        }
-    }
-
-    struct NoDisk;
-
-    impl writer::Sink for NoDisk {
-        async fn commit(&self, _: &MapUpdate, _: &[KeyframeImage]) -> Result<(), ApiError> {
-            Ok(())
-        }
-    }
-
-    fn frame(sequence: u64) -> Queued {
-        let data = vec![128; (WIDTH * HEIGHT) as usize].into();
-        let encoding = Encoding::Raw(PixelFormat::Gray8);
-        let image = SentImage { encoding, width: WIDTH, height: HEIGHT, row_stride: 0, data };
-        Queued::Frame(SentFrame {
-            sequence,
-            timestamp_ns: sequence as i64,
-            image,
-            arrived: Instant::now(),
-            charge: None,
-        })
-    }
-
-    fn camera() -> Camera {
-        let (model, distortion) = (CameraModel::Pinhole, Vec::new());
-        let (fx, fy, cx, cy) = (160.0, 160.0, 79.5, 59.5);
-        Camera::new(CameraParameters { model, width: WIDTH, height: HEIGHT, fx, fy, cx, cy, distortion })
-            .unwrap()
-    }
-
-    #[tokio::test(flavor = "multi_thread")]
-    async fn a_panic_ends_the_session_with_a_clear_error_and_lets_nobody_wait() {
-        let clock = Arc::new(FragileClock::default());
-        let pipeline = Pipeline::new(SlamConfig::default(), camera(), clock.clone()).unwrap();
-        let (outbox, _saving) = writer::start(NoDisk, None, false, Duration::from_secs(1));
-        let folder = tempfile::tempdir().unwrap();
-        let store =
-            store::Store::open(folder.path().join("maps"), store::StoreOptions::default()).await.unwrap();
-        let id = SessionId::parse("s", "id").unwrap();
-        let (streams, receiver) = mpsc::channel(1);
-        let history = crate::session::load::LoadContext { store: &store, id: &id }.history();
-        let persistence = Persistence { outbox, history, last_frame: None, ahead_ns: 0 };
-        let config = WorkerConfig {
-            leaps: Leaps::of(&crate::config::SessionConfig::default()),
-            decode_limits: DecodeLimits::default(),
-            keep_images: true,
-            idle_unload: Duration::from_secs(60),
-        };
-        let ends = Ends {
-            streams: receiver,
-            unload: CancellationToken::new(),
-            live: watch::channel(Live::default()).0,
-            scale: watch::channel(None).1,
-            events: Events::default(),
-        };
-        let worker = Worker::new(id, config, pipeline, persistence, ends, Handle::current());
-        let worker = std::thread::spawn(move || worker.run());
-
-        let queue = Arc::new(FrameQueue::new(Policy::Lossless, 4));
-        let (replies, mut answers) = mpsc::channel(4);
-        let served = CancellationToken::new();
-        let stream = Stream {
-            mode: Mode::MapAndLocalize,
-            policy: Policy::Lossless,
-            new_segment: false,
-            queue: queue.clone(),
-            replies,
-            ending_soon: CancellationToken::new(),
-            served: served.clone(),
-        };
-        streams.send(stream).await.unwrap();
-        queue.push(frame(0)).await.unwrap();
-        assert!(matches!(answers.recv().await, Some(Ok(Reply::Answered(_)))));
-        clock.0.store(true, Ordering::SeqCst);
-        queue.push(frame(1)).await.unwrap();
-        let error = answers.recv().await.unwrap().unwrap_err();
-        assert_eq!(error.code, ErrorCode::SessionFailed);
-        assert!(answers.recv().await.is_none(), "the stream goes on after the session failed");
-        assert!(served.is_cancelled() && queue.is_closed());
-        tokio::task::spawn_blocking(move || worker.join()).await.unwrap().expect("the panic was caught");
-        assert!(streams.is_closed());
-    }
 }
