@@ -44,10 +44,14 @@ impl Budget {
     /// # Errors
     /// If there is none in time, or could never be as much.
     pub async fn take(&self, n_bytes: usize) -> Result<Charge, ApiError> {
+        // What never fits must not hold up those that wait behind it.
+        if n_bytes > self.n_bytes {
+            return Err(self.refusal());
+        }
         let n_units = u32::try_from(n_bytes.div_ceil(UNIT_BYTES).max(1)).unwrap_or(u32::MAX);
         let taken = tokio::time::timeout(self.patience, self.room.clone().acquire_many_owned(n_units)).await;
         match taken {
-            Ok(Ok(permit)) if n_bytes <= self.n_bytes => Ok(Charge(permit)),
+            Ok(Ok(permit)) => Ok(Charge(permit)),
             _ => Err(self.refusal()),
         }
     }
@@ -103,7 +107,9 @@ mod tests {
         tokio::time::sleep(patience / 8).await;
         drop(first);
         assert!(waiting.await.unwrap().is_ok(), "there is room again");
+        let asked = std::time::Instant::now();
         assert!(budget.take(11 * UNIT_BYTES).await.is_err(), "more than all");
+        assert!(asked.elapsed() < patience / 2, "refused at once, and not after those behind it have waited");
         assert_eq!(budget.n_taken_bytes(), 0);
     }
 }

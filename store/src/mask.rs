@@ -16,7 +16,9 @@ impl Store {
         let mut transaction = self.begin_write().await?;
         let number = session_number(&mut transaction, session).await?;
         write_mask(&mut transaction, number, mask).await?;
-        transaction.commit().await
+        let outcome = transaction.commit().await;
+        self.place().note(&outcome);
+        outcome
     }
 
     /// What of a session's images is left out.
