@@ -83,10 +83,10 @@ async fn verify(file: &Path, out: &mut impl Write) -> anyhow::Result<()> {
     }
     ensure!(findings.is_empty(), "{} problems found in {}", findings.len(), file.display());
     if *are_sessions_checked {
-        writeln!(out, "{} is whole: {n_sessions} sessions", file.display())?;
+        writeln!(out, "{} is whole; sessions: {n_sessions}", file.display())?;
     } else {
         let reason = format!(
-            "its schema is version {schema}, so that its {n_sessions} sessions can be checked only once a server has \
+            "its schema is version {schema}, so that its sessions ({n_sessions}) can be checked only once a server has \
              brought it up to {}",
             Store::schema_version()
         );

@@ -43,7 +43,7 @@ async fn a_backup_beside_a_stream_is_put_back_and_the_session_goes_on() {
     let (is_done, text) = command(&["backup"], &file, data.path());
     assert!(!is_done && text.contains("--force"), "{text}");
     let (is_done, text) = command(&["verify"], &file, data.path());
-    assert!(is_done && text.contains("is whole: 1 sessions"), "{text}");
+    assert!(is_done && text.contains("is whole; sessions: 1"), "{text}");
     assert_eq!(names_in(backups.path()), ["maps.sqlite"], "nothing is left beside it");
 
     // What uses the data is not disturbed.
