@@ -174,6 +174,18 @@ async function scale(page, url, session) {
   passed('two points set the scale, and it is freed again');
 }
 
+/** The whole map is adjusted, and the page tells how far that is and what came of it. */
+async function optimize(page, url, session) {
+  const panel = page.getByRole('region', { name: 'Whole map' });
+  await panel.getByRole('button', { name: 'Optimize' }).press('Enter');
+  await panel.getByText(/cost/i).waitFor({ timeout: 120_000 });
+  const { operations } = await (await fetch(`${url}/v1/operations?session=${session.id}`)).json();
+  assert.deepEqual(operations.map(({ kind, state }) => [kind, state]), [['optimize', 'done']]);
+  assert.equal(await panel.getByRole('status').textContent(), operations[0].message);
+  assert.ok(await panel.getByRole('progressbar').isHidden());
+  passed('a map is adjusted from the page');
+}
+
 async function layersAndExports(page, url) {
   for (const name of ['Covisibility', 'Primitive ties']) await page.getByLabel(name).check();
   await page.waitForURL(/show=.*covisibility\.primitives/);
@@ -188,6 +200,7 @@ async function finished(browser, page, url, session) {
   await check(page, 'session, dark');
   await byKeyboard(page);
   await scale(page, url, session);
+  await optimize(page, url, session);
   await layersAndExports(page, url);
   await page.getByRole('button', { name: 'Next keyframe' }).press('Enter');
   await page.waitForTimeout(1500);

@@ -13,6 +13,7 @@ import { ImagePanel } from './panels/image';
 import { KeyframePanel } from './panels/keyframe';
 import { Layers } from './panels/layers';
 import { MeasurePanel } from './panels/measure';
+import { OperationsPanel } from './panels/operations';
 import { Statistics } from './panels/statistics';
 import { Timeline } from './panels/timeline';
 
@@ -34,6 +35,7 @@ export class SessionPage {
   readonly #timeline: Timeline;
   readonly #keyframe: KeyframePanel;
   readonly #measure: MeasurePanel;
+  readonly #operations: OperationsPanel | null;
   readonly #follower: Follower;
   readonly #follow = h('input', { type: 'checkbox', id: 'follow' });
   readonly #onTheme = () => this.#sceneChanged();
@@ -56,10 +58,12 @@ export class SessionPage {
     this.#keyframe = new KeyframePanel(id, this.#scene, (keyframe) => this.#change({ keyframe }));
     const onSession = (session: Session) => this.#takeSession(session);
     this.#measure = new MeasurePanel(id, this.#scene, () => this.#draw(), onSession);
+    this.#operations = embedded ? null : new OperationsPanel(id, () => this.#readSession());
     this.#follow.addEventListener('change', () => this.#change({ follow: this.#follow.checked }));
     this.#buildStage();
     // What is asked of a server is not in a report.
-    const asked = embedded ? [] : [this.#measure.element, exportsPanel(id, () => this.#view?.picture())];
+    const exports = () => exportsPanel(id, () => this.#view?.picture());
+    const asked = this.#operations ? [this.#measure.element, this.#operations.element, exports()] : [];
     const side = h('div', { class: 'side' }, this.#image.element, this.#statistics.element, this.#keyframe.element, ...asked);
     const left = h('div', { class: 'left' }, this.#stage, this.#timeline.element);
     root.replaceChildren(h('h1', { class: 'visually-hidden' }, `Session ${id}`), this.#trouble, h('div', { class: 'session' }, left, side));
@@ -86,6 +90,7 @@ export class SessionPage {
     window.removeEventListener('themechange', this.#onTheme);
     this.#follower.close();
     this.#timeline.close();
+    this.#operations?.close();
     this.#image.close();
     this.#view?.dispose();
     cancelAnimationFrame(this.#drawing);
@@ -158,7 +163,14 @@ export class SessionPage {
   #takeSession(session: Session): void {
     this.#session = session;
     this.#measure.update();
+    this.#operations?.update(session);
     this.#draw();
+  }
+
+  #readSession(): void {
+    getSession(this.address.id).then((session) => this.#takeSession(session), (error: unknown) => {
+      if (error instanceof ApiProblem && error.status === 404) this.#gone();
+    });
   }
 
   #takeFrame(event: FrameEvent): void {
@@ -175,9 +187,7 @@ export class SessionPage {
       this.#waiting.textContent = empty ? 'There is no map yet: it begins once the camera has moved sideways.' : '';
       this.#waiting.hidden = !empty;
       if (this.#scene.revision !== null) this.#keyframe.update(this.address.keyframe, true);
-      getSession(this.address.id).then((session) => this.#takeSession(session), (error: unknown) => {
-        if (error instanceof ApiProblem && error.status === 404) this.#gone();
-      });
+      this.#readSession();
     }
     void this.#readEdges();
     this.#image.redraw();

@@ -48,6 +48,18 @@ export interface Edge {
   n_lines: number;
 }
 
+/** Work on a whole map, which goes on whether or not somebody looks. */
+export interface Operation {
+  id: string;
+  kind: 'optimize' | 'merge';
+  session_id: string;
+  from_session_id: string | null;
+  state: 'queued' | 'running' | 'done' | 'failed' | 'cancelled';
+  /** Share that is done, 0 to 1. */
+  progress: number;
+  message: string;
+}
+
 /** An answer that is an error, with the server's sentence. */
 export class ApiProblem extends Error {
   constructor(
@@ -109,12 +121,23 @@ export async function getEdges(id: string, minWeight: number, keyframe?: number)
   return graph.edges;
 }
 
+async function post<T>(path: string, body?: unknown): Promise<T> {
+  const sent = body === undefined ? {} : { headers: { 'content-type': 'application/json' }, body: JSON.stringify(body) };
+  const response = await request(path, { method: 'POST', ...sent });
+  return (await response.json()) as T;
+}
+
 /** Says how many metres a map unit is; `null` frees the scale. */
-export async function setScale(id: string, metresPerUnit: number | null): Promise<Session> {
-  const response = await request(`${sessionPath(id)}/scale`, {
-    method: 'POST',
-    headers: { 'content-type': 'application/json' },
-    body: JSON.stringify({ metres_per_unit: metresPerUnit }),
-  });
-  return (await response.json()) as Session;
+export const setScale = (id: string, metresPerUnit: number | null) =>
+  post<Session>(`${sessionPath(id)}/scale`, { metres_per_unit: metresPerUnit });
+
+export const beginOptimize = (id: string) => post<Operation>(`${sessionPath(id)}/optimize`);
+export const beginMerge = (id: string, from: string) => post<Operation>(`${sessionPath(id)}/merge`, { from });
+export const cancelOperation = (operation: string) =>
+  post<Operation>(`/v1/operations/${encodeURIComponent(operation)}/cancel`);
+
+/** Operations on a session, the newest first. */
+export async function listOperations(id: string): Promise<Operation[]> {
+  const { operations } = await json<{ operations: Operation[] }>(`/v1/operations?session=${encodeURIComponent(id)}`);
+  return operations;
 }
