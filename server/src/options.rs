@@ -200,6 +200,14 @@ pub fn engine_config_of(record: &SessionRecord) -> Result<SlamConfig, ApiError> 
     Ok(config)
 }
 
+/// The camera whose pixels a stored session's features are in.
+///
+/// # Errors
+/// If the stored options or camera cannot be used.
+pub fn working_camera(record: &SessionRecord) -> Result<Camera, ApiError> {
+    Ok(engine_config_of(record)?.working_camera(&record.checked_camera()?))
+}
+
 /// The engine's configuration for these options.
 ///
 /// # Errors

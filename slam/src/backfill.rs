@@ -280,6 +280,7 @@ impl Way {
             state: FrameState::Tracked,
             pose,
             backfilled: n_inliers.is_none(),
+            reason: String::new(),
         })
     }
 }

@@ -45,6 +45,7 @@ impl FrameResult {
             state: self.outcome.state(),
             pose: self.frame.as_ref().and_then(|frame| frame.pose_in(map)),
             backfilled: false,
+            reason: self.outcome.reason(),
         }
     }
 

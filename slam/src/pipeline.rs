@@ -261,7 +261,8 @@ impl Pipeline {
     }
 
     fn record_of(&self, view: &View, result: &FrameResult) -> FrameRecord {
-        FrameRecord { state: self.outcome_told(result.outcome).state(), ..result.record(view, &self.map) }
+        let told = self.outcome_told(result.outcome);
+        FrameRecord { state: told.state(), reason: told.reason(), ..result.record(view, &self.map) }
     }
 
     /// Notes the frame in the trajectory.

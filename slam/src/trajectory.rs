@@ -17,18 +17,18 @@ pub(crate) struct TrajectoryLog {
 impl TrajectoryLog {
     /// Notes a frame. `is_young` says whether its submap may yet be discarded.
     pub fn note(&mut self, record: FrameRecord, is_young: bool) {
-        self.unrecorded.push(record);
         if !is_young {
             self.at_risk.clear();
         } else if record.pose.is_some() {
-            self.at_risk.push(record);
+            self.at_risk.push(record.clone());
         }
+        self.unrecorded.push(record);
     }
 
     /// Notes the frame that a map begins with. Returns it with all that came before it.
     pub fn begin_map(&mut self, first: FrameRecord) -> Vec<FrameRecord> {
+        self.at_risk = vec![first.clone()];
         self.unrecorded.push(first);
-        self.at_risk = vec![first];
         self.take()
     }
 
@@ -49,7 +49,12 @@ impl TrajectoryLog {
 
     /// The submap is discarded: what was placed in it has no pose.
     pub fn discard_submap(&mut self) {
-        let unplaced = |record| FrameRecord { pose: None, state: FrameState::Initialising, ..record };
+        let unplaced = |record| FrameRecord {
+            pose: None,
+            state: FrameState::Initialising,
+            reason: "the map that it was placed in was given up".to_owned(),
+            ..record
+        };
         self.unrecorded.extend(self.at_risk.drain(..).map(unplaced));
     }
 
@@ -66,7 +71,8 @@ impl TrajectoryLog {
 
 /// The record of the frame at which a map begins: its pose is that of its keyframe.
 pub(crate) fn first_record(sequence: u64, timestamp_ns: i64, pose: FramePose) -> FrameRecord {
-    FrameRecord { sequence, timestamp_ns, state: FrameState::Tracked, pose: Some(pose), backfilled: true }
+    let (state, reason) = (FrameState::Tracked, String::new());
+    FrameRecord { sequence, timestamp_ns, state, pose: Some(pose), backfilled: true, reason }
 }
 
 #[cfg(test)]
@@ -88,6 +94,7 @@ mod tests {
             state: FrameState::Tracked,
             pose: placed.then_some(pose),
             backfilled: false,
+            reason: String::new(),
         }
     }
 

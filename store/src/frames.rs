@@ -21,6 +21,8 @@ pub struct FrameEntry {
     pub state: FrameState,
     /// The pose was found after the frame was answered.
     pub backfilled: bool,
+    /// Why the pose is not good, in a plain sentence; empty if it is.
+    pub reason: String,
     /// Where the camera was, if that is known.
     pub place: Option<FramePlace>,
 }
@@ -41,7 +43,7 @@ pub struct FramePlace {
 const FRAMES_PER_STEP: i64 = 512;
 
 const SELECT_FRAMES: &str = "SELECT sequence, timestamp_ns, state, backfilled, reference, \
-     qx, qy, qz, qw, tx, ty, tz FROM frames WHERE session = ?1 AND sequence >= ?2 ORDER BY sequence LIMIT ?3";
+     qx, qy, qz, qw, tx, ty, tz, reason FROM frames WHERE session = ?1 AND sequence >= ?2 ORDER BY sequence LIMIT ?3";
 
 impl Store {
     /// Every frame of a session in the order of their numbers. Poses of keyframes are read at once, frames as
@@ -93,6 +95,7 @@ fn parse_frame(row: &SqliteRow, book: &PoseBook) -> Result<FrameEntry, StoreErro
         timestamp_ns: row.try_get(1)?,
         state: parse_state(row.try_get(2)?)?,
         backfilled: row.try_get(3)?,
+        reason: row.try_get::<Option<String>, _>(12)?.unwrap_or_default(),
         place,
     })
 }

@@ -291,12 +291,14 @@ pub fn frame(sequence: u64, reference: KeyframeId) -> FrameRecord {
         state: FrameState::Tracked,
         pose: Some(FramePose { submap: SubmapId(0), reference, camera_from_reference }),
         backfilled: false,
+        reason: String::new(),
     }
 }
 
 /// A frame without a pose.
 pub fn lost_frame(sequence: u64) -> FrameRecord {
-    FrameRecord { pose: None, state: FrameState::Lost, ..frame(sequence, kf(1)) }
+    let reason = "too few landmarks agree with any pose".to_owned();
+    FrameRecord { pose: None, state: FrameState::Lost, reason, ..frame(sequence, kf(1)) }
 }
 
 /// Compares maps to the last bit.

@@ -54,7 +54,11 @@ impl Viewer {
         let key = if kind == "frames" { "sequences" } else { "ids" };
         for (i, id) in columns[key].as_array().unwrap().iter().enumerate() {
             let named = columns.as_object().unwrap().iter().filter(|(name, _)| *name != "reasons");
-            let row: BTreeMap<&String, &Value> = named.map(|(name, column)| (name, &column[i])).collect();
+            let mut row: BTreeMap<&str, &Value> =
+                named.map(|(name, column)| (name.as_str(), &column[i])).collect();
+            if let Some(reasons) = columns.get("reasons") {
+                row.insert("reason", &reasons[id.to_string()]);
+            }
             self.rows.insert((kind.to_owned(), id.as_u64().unwrap()), json!(row));
         }
     }
@@ -86,6 +90,16 @@ async fn changes_add_up_to_the_whole_scene() {
     assert!(kinds.is_superset(&["frames", "keyframes", "points"].into()), "{kinds:?}");
     assert_eq!(viewer.rows.keys().collect::<Vec<_>>(), whole.rows.keys().collect::<Vec<_>>());
     assert_eq!(viewer.rows, whole.rows);
+    for row in whole.rows.iter().filter(|((kind, _), _)| kind == "frames").map(|(_, row)| row) {
+        let is_good = row["states"] == "tracked";
+        assert_eq!(row["reason"].as_str().unwrap_or_default().is_empty(), is_good, "{row}");
+    }
+    assert!(whole.rows.values().any(|row| row["reason"].is_string()), "the first frames wait for a map");
+
+    let server = server.restart().await;
+    let mut later = Viewer::default();
+    later.read(&server).await;
+    assert_eq!(later.rows, whole.rows, "nothing of it is forgotten by a restart");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -3,14 +3,14 @@
 use super::MapQueries;
 use super::keyframes::no_keyframe;
 use crate::error::ApiError;
-use crate::options::{SessionOptions, engine_config};
+use crate::options::working_camera;
 use crate::session::{SessionId, ShownFrame};
 use geometry::Camera;
 use geometry::nalgebra::Vector2;
 use serde::Serialize;
 use slam::features::LineFeature;
 use slam::map::{KeyframeId, LineId, PointId, PrimitiveId, VanishingObservation};
-use store::{MeasuredKeyframe, SessionRecord};
+use store::MeasuredKeyframe;
 use utoipa::ToSchema;
 
 /// What was measured in an image, and what of it was recognized.
@@ -71,12 +71,6 @@ impl MapQueries {
         let camera = working_camera(&self.store.get_session(id.as_str()).await?)?;
         Ok(of_frame(frame, &camera))
     }
-}
-
-/// The camera whose pixels a session's features are in.
-pub(super) fn working_camera(record: &SessionRecord) -> Result<Camera, ApiError> {
-    let config = engine_config(&SessionOptions::from(record.options.clone()))?;
-    Ok(config.working_camera(&record.checked_camera()?))
 }
 
 fn of_keyframe(measured: &MeasuredKeyframe, camera: &Camera) -> Observed {

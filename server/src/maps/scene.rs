@@ -4,11 +4,11 @@
 //! asks for the changes since then misses nothing: a row it has already is told again. Lengths are map units,
 //! also in a session whose scale is known, so that a new scale changes no row.
 
-use super::observed::working_camera;
 use super::shades::ShadedSession;
 use super::{Batches, MapQueries, ROWS_PER_BATCH, batches, batches_of_pages};
 use crate::error::ApiError;
 use crate::model::State;
+use crate::options::working_camera;
 use crate::session::{SceneChanges, SessionId, Since};
 use futures_util::stream::{self, BoxStream, StreamExt};
 use geometry::Pose;
@@ -149,7 +149,7 @@ impl MapQueries {
     /// If there is no such session.
     pub async fn scene(&self, id: &SessionId, since: Since) -> Result<SceneParts, ApiError> {
         let record = self.store.get_session(id.as_str()).await?;
-        let Since { revision, changes, reasons } = since;
+        let Since { revision, changes } = since;
         let changes = changes.map(Arc::new);
         let revision = revision.to_string();
         let head = ScenePart::Scene(SceneHead {
@@ -165,7 +165,7 @@ impl MapQueries {
             .chain(self.primitive_parts(id, changes.clone()))
             .chain(self.line_parts(id, changes.as_deref()).await?)
             .chain(self.point_parts(id, &record, changes.as_deref()).await?)
-            .chain(self.frame_parts(id, changes, reasons.into_iter().collect()).await?)
+            .chain(self.frame_parts(id, changes).await?)
             .chain(stream::once(async { Ok(ScenePart::End(SceneEnd { revision })) }));
         Ok(parts.boxed())
     }
@@ -245,7 +245,6 @@ impl MapQueries {
         &self,
         id: &SessionId,
         changes: Option<Arc<SceneChanges>>,
-        reasons: BTreeMap<u64, String>,
     ) -> Result<SceneParts, ApiError> {
         let frames = self.store.frames(id.as_str()).await?;
         let wanted = move |frame: &FrameEntry| {
@@ -257,7 +256,7 @@ impl MapQueries {
             })
         };
         Ok(parts(batches(frames, |frame| frame), move |frames| {
-            ScenePart::Frames(FrameColumns::of(frames.into_iter().filter(&wanted), &reasons))
+            ScenePart::Frames(FrameColumns::of(frames.into_iter().filter(&wanted)))
         }))
     }
 }
@@ -366,7 +365,7 @@ impl PointColumns {
 }
 
 impl FrameColumns {
-    fn of(frames: impl Iterator<Item = FrameEntry>, reasons: &BTreeMap<u64, String>) -> Self {
+    fn of(frames: impl Iterator<Item = FrameEntry>) -> Self {
         let mut columns = Self::default();
         for frame in frames {
             columns.sequences.push(frame.sequence);
@@ -376,8 +375,8 @@ impl FrameColumns {
             let place = frame.place.as_ref();
             columns.submap_ids.push(place.map(|place| place.submap.0));
             columns.poses.push(place.map(|place| pose_columns(&place.world_from_camera)));
-            if let Some(reason) = reasons.get(&frame.sequence) {
-                columns.reasons.insert(frame.sequence, reason.clone());
+            if !frame.reason.is_empty() {
+                columns.reasons.insert(frame.sequence, frame.reason);
             }
         }
         columns

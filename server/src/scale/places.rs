@@ -2,7 +2,7 @@
 
 use super::{Measurement, undetermined, working_factors};
 use crate::error::{ApiError, ErrorCode};
-use crate::options::engine_config_of;
+use crate::options::working_camera;
 use crate::session::SessionId;
 use futures_util::TryStreamExt;
 use geometry::nalgebra::{Vector2, Vector3};
@@ -135,8 +135,7 @@ async fn picked(
         return Err(ApiError::invalid(field, "must be two finite numbers"));
     }
     let session = store.get_session(id.as_str()).await?;
-    let working = engine_config_of(&session)?.working_camera(&session.checked_camera()?);
-    let working = working.with_correction(session.correction);
+    let working = working_camera(&session)?.with_correction(session.correction);
     let record = keyframe_record(store, id, keyframe).await?;
     let measured = store.measured_keyframe(id.as_str(), keyframe).await?;
     let measured = measured.ok_or_else(|| ApiError::internal("a keyframe has no features"))?;

@@ -101,10 +101,6 @@ impl Events {
         metres_per_unit: Option<f64>,
         shown: impl FnOnce() -> Option<ShownFrame>,
     ) {
-        let reason = report.reason();
-        if !reason.is_empty() {
-            self.journal.note_reason(report.sequence, reason);
-        }
         if self.sender.receiver_count() > 0 {
             if let Some(shown) = shown() {
                 self.gallery.show(shown);

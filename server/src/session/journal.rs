@@ -14,8 +14,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 const MAX_IDS: usize = 200_000;
 /// Revisions kept at most.
 const MAX_ENTRIES: usize = 4096;
-/// Frames whose reasons are kept: twenty seconds of video.
-const MAX_REASONS: usize = 600;
 
 /// A state of a session's map, to be handed back as it was given out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,8 +39,6 @@ pub struct Since {
     pub revision: Revision,
     /// What changed since the revision asked for; `None` if that is not known any more: read everything.
     pub changes: Option<SceneChanges>,
-    /// Why the last frames had no good pose, by the numbers of the frames.
-    pub reasons: Vec<(u64, String)>,
 }
 
 /// See the module's documentation.
@@ -56,7 +52,6 @@ struct Inner {
     entries: VecDeque<SceneChanges>,
     /// Ids in all entries.
     n_ids: usize,
-    reasons: VecDeque<(u64, String)>,
 }
 
 impl Default for Journal {
@@ -64,8 +59,7 @@ impl Default for Journal {
         // Exact in JavaScript's numbers too.
         let epoch = rand::random_range(0..1_u64 << 48);
         let revision = Revision { epoch, number: 0 };
-        let (entries, reasons) = (VecDeque::new(), VecDeque::new());
-        Self(Arc::new(Mutex::new(Inner { revision, entries, n_ids: 0, reasons })))
+        Self(Arc::new(Mutex::new(Inner { revision, entries: VecDeque::new(), n_ids: 0 })))
     }
 }
 
@@ -83,15 +77,6 @@ impl Journal {
             inner.n_ids -= oldest.n_ids();
         }
         inner.revision
-    }
-
-    /// Notes why a frame has no good pose.
-    pub fn note_reason(&self, sequence: u64, reason: String) {
-        let mut inner = self.lock();
-        if inner.reasons.len() == MAX_REASONS {
-            inner.reasons.pop_front();
-        }
-        inner.reasons.push_back((sequence, reason));
     }
 
     /// Forgets what changed, when the session leaves memory: whoever has the newest revision still has it.
@@ -116,7 +101,7 @@ impl Journal {
             }
             all
         });
-        Since { revision: inner.revision, changes, reasons: inner.reasons.iter().cloned().collect() }
+        Since { revision: inner.revision, changes }
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -213,8 +198,6 @@ mod tests {
         assert!(inner.n_ids <= MAX_IDS && inner.n_ids > MAX_IDS / 2, "{}", inner.n_ids);
         drop(inner);
         assert!(journal.since(Some(first)).changes.is_none());
-        (0..2 * MAX_REASONS as u64).for_each(|sequence| journal.note_reason(sequence, "lost".into()));
-        assert_eq!(journal.since(None).reasons.len(), MAX_REASONS);
     }
 
     #[test]

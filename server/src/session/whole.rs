@@ -156,6 +156,7 @@ fn placed(frames: Vec<FrameEntry>, map: &slam::map::MapParts) -> Vec<PlacedFrame
         timestamp_ns: frame.timestamp_ns,
         state: frame.state,
         backfilled: frame.backfilled,
+        reason: frame.reason,
         place: frame.place.and_then(|place| {
             let anchor = *place.way.last()?;
             submaps.contains_key(&anchor).then(|| (anchor, place.world_from_camera.inverse()))

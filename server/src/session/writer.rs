@@ -257,6 +257,7 @@ mod tests {
             state: FrameState::Initialising,
             pose: None,
             backfilled: false,
+            reason: "the camera has not moved enough yet".to_owned(),
         };
         MapUpdate { map: Arc::new(Map::default()), changes: MapChanges::default(), frames: vec![frame] }
     }

@@ -35,6 +35,8 @@ pub struct PlacedFrame {
     pub state: FrameState,
     /// The pose was found after the frame was answered.
     pub backfilled: bool,
+    /// Why the pose is not good; empty if it is.
+    pub reason: String,
     /// A keyframe in the map that it moves with, and its `camera_from_world`.
     pub place: Option<(KeyframeId, Pose)>,
 }
@@ -172,8 +174,8 @@ impl Shifts {
             let (sequence, timestamp_ns) = self.shifted(frame.sequence, frame.timestamp_ns)?;
             let pose: Option<FramePose> =
                 frame.place.as_ref().and_then(|(reference, pose)| from.place_beside(*reference, pose));
-            let (state, backfilled) = (frame.state, frame.backfilled);
-            Ok(FrameRecord { sequence, timestamp_ns, state, pose, backfilled })
+            let (state, backfilled, reason) = (frame.state, frame.backfilled, frame.reason.clone());
+            Ok(FrameRecord { sequence, timestamp_ns, state, pose, backfilled, reason })
         };
         frames.iter().map(record).collect()
     }

@@ -74,7 +74,7 @@ pub enum FrameState {
 }
 
 /// One frame's place in the trajectory, relative to a keyframe so that it moves when the map is corrected.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FrameRecord {
     /// The client's number of the frame.
     pub sequence: u64,
@@ -86,6 +86,8 @@ pub struct FrameRecord {
     pub pose: Option<FramePose>,
     /// The pose was found after the frame was answered.
     pub backfilled: bool,
+    /// Why the pose is not good, in a plain sentence; empty if it is.
+    pub reason: String,
 }
 
 /// A pose relative to a keyframe. [`Map::locate`] tells where that is.

@@ -148,11 +148,11 @@ async fn write_update(
 
 const FRAME_ROWS: MultiRow = MultiRow {
     insert: "INSERT INTO frames (session, sequence, timestamp_ns, state, backfilled, submap, reference, \
-             qx, qy, qz, qw, tx, ty, tz) VALUES ",
-    n_columns: 14,
+             reason, qx, qy, qz, qw, tx, ty, tz) VALUES ",
+    n_columns: 15,
     conflict: " ON CONFLICT (session, sequence) DO UPDATE SET timestamp_ns = excluded.timestamp_ns, \
                state = excluded.state, backfilled = excluded.backfilled, submap = excluded.submap, \
-               reference = excluded.reference, qx = excluded.qx, qy = excluded.qy, qz = excluded.qz, \
+               reference = excluded.reference, reason = excluded.reason, qx = excluded.qx, qy = excluded.qy, qz = excluded.qz, \
                qw = excluded.qw, tx = excluded.tx, ty = excluded.ty, tz = excluded.tz",
 };
 
@@ -194,6 +194,7 @@ async fn write_frames(
             columns.add(frame.pose.map(|pose| i64::from(pose.submap.0)))?;
             columns
                 .add(frame.pose.map(|pose| to_column("keyframe id", pose.reference.get())).transpose()?)?;
+            columns.add(Some(frame.reason.as_str()).filter(|reason| !reason.is_empty()))?;
             (0..7).try_for_each(|idx| columns.add(pose.map(|pose| pose[idx])))
         })
         .await?;

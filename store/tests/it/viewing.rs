@@ -41,8 +41,8 @@ async fn frames_are_told_with_the_keyframe_that_moves_them() {
     assert_eq!(found.len() as u64, n_frames);
     for (entry, record) in found.iter().zip(&frames) {
         assert_eq!(
-            (entry.sequence, entry.timestamp_ns, entry.state),
-            (record.sequence, record.timestamp_ns, record.state)
+            (entry.sequence, entry.timestamp_ns, entry.state, &entry.reason),
+            (record.sequence, record.timestamp_ns, record.state, &record.reason)
         );
         let Some(pose) = record.pose else {
             assert_eq!((&entry.place, entry.state), (&None, FrameState::Lost));

@@ -157,7 +157,6 @@ export class Scene {
 
   #applyFrames(frames: FrameColumns): void {
     frames.sequences.forEach((sequence, i) => {
-      const known = this.frames.get(sequence);
       this.frames.set(sequence, {
         sequence,
         timeS: frames.times_s[i]!,
@@ -165,7 +164,7 @@ export class Scene {
         backfilled: frames.backfilled[i]!,
         submap: frames.submap_ids[i]!,
         pose: frames.poses[i]!,
-        reason: frames.reasons[String(sequence)] ?? known?.reason ?? '',
+        reason: frames.reasons[String(sequence)] ?? '',
       });
     });
     this.#order = null;

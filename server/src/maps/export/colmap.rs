@@ -5,7 +5,7 @@
 
 use super::{ColmapPart, Export};
 use crate::error::ApiError;
-use crate::options::engine_config_of;
+use crate::options::working_camera;
 use geometry::{CameraModel, CameraParameters};
 use slam::map::KeyframeId;
 use std::collections::BTreeMap;
@@ -108,10 +108,9 @@ async fn write_images(export: &mut Export) -> Result<(), ApiError> {
 /// Pixels of the session's camera per pixel of the working image that keypoints are measured in.
 fn full_from_working(export: &Export) -> Result<[f64; 2], ApiError> {
     let record = export.snapshot.record();
-    let camera = record.checked_camera()?;
-    let working = engine_config_of(record)?.working_camera(&camera);
+    let working = working_camera(record)?;
     let factor = |full: u32, working: u32| f64::from(full) / f64::from(working);
-    Ok([factor(camera.width(), working.width()), factor(camera.height(), working.height())])
+    Ok([factor(record.camera.width, working.width()), factor(record.camera.height, working.height())])
 }
 
 async fn write_points(export: &mut Export) -> Result<(), ApiError> {

@@ -13,10 +13,10 @@ mod spool;
 mod transforms;
 
 use super::MapQueries;
-use super::observed::working_camera;
 use super::shades::{ShadedSession, Shades};
 use crate::error::ApiError;
 use crate::model::Units;
+use crate::options::working_camera;
 use crate::session::SessionId;
 use bytes::Bytes;
 use futures_util::Stream;
