@@ -106,7 +106,7 @@ impl Session {
         for update in updates {
             update.map.check().unwrap_or_else(|wrong| panic!("{wrong}"));
             self.is_correction_stored |= update.changes.correction;
-            self.records.extend(update.frames.iter().map(|record| (record.sequence, *record)));
+            self.records.extend(update.frames.iter().map(|record| (record.sequence, record.clone())));
         }
     }
 }

@@ -110,11 +110,11 @@ fn main() -> Result<(), Box<dyn Error>> {
             stage_ms.entry(stage.name).or_default().push(stage.wall_ns as f64 * 1e-6);
         }
         for update in pipeline.take_updates() {
-            records.extend(update.frames.iter().map(|record| (record.sequence, *record)));
+            records.extend(update.frames.iter().map(|record| (record.sequence, record.clone())));
         }
     }
     for update in pipeline.finish() {
-        records.extend(update.frames.iter().map(|record| (record.sequence, *record)));
+        records.extend(update.frames.iter().map(|record| (record.sequence, record.clone())));
     }
     let elapsed = start.elapsed().as_secs_f64();
 

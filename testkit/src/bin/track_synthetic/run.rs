@@ -40,7 +40,7 @@ impl Run {
 
     pub fn store(&mut self, updates: Vec<slam::MapUpdate>) {
         for update in updates {
-            self.records.extend(update.frames.iter().map(|record| (record.sequence, *record)));
+            self.records.extend(update.frames.iter().map(|record| (record.sequence, record.clone())));
         }
     }
 
