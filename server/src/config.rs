@@ -57,7 +57,7 @@ pub struct Limits {
     pub max_message_bytes: usize,
     /// Bytes of messages that are begun and not finished, or wait to be worked off, of all clients together;
     /// who brings more waits, and is refused after five seconds. Default 256 MiB, four of the largest
-    /// messages. Over a WebSocket only complete messages count.
+    /// messages. Over a WebSocket they count as they come.
     pub max_bytes_in_flight: usize,
     /// Largest image, pixels. Default 4096 * 3072. Checked before an image is decoded.
     pub max_image_pixels: u64,
@@ -121,6 +121,10 @@ pub struct SessionConfig {
     pub idle_stream_s: f64,
     /// Operations that run at the same time. Default 1: each takes every core for parts of its time.
     pub n_operations: usize,
+    /// Cores that tracking, mapping and adjusting maps keep busy at the same time, of all sessions together,
+    /// which share them alike; decoding, the network and single images go beside. Default as many as the
+    /// machine has: with more, sessions would only take them from each other.
+    pub n_cores: Option<usize>,
     /// Memory for what maps look like, to find the one that an image shows, MiB. Default 256: some 200 maps
     /// of 150 keyframes; with less, maps are read again for each image.
     pub localization_index_mb: usize,
@@ -143,6 +147,7 @@ impl Default for SessionConfig {
             max_time_leap_s: 31_622_400.0,
             idle_stream_s: 30.0,
             n_operations: 1,
+            n_cores: None,
             localization_index_mb: 256,
             localization_keyframes: 400,
         }
@@ -158,6 +163,11 @@ impl SessionConfig {
     /// [`Self::idle_stream_s`] as a span of time.
     pub fn idle_stream(&self) -> Duration {
         Duration::from_secs_f64(self.idle_stream_s)
+    }
+
+    /// [`Self::n_cores`], or as many as the machine has.
+    pub fn n_cores(&self) -> usize {
+        self.n_cores.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
     }
 
     /// [`Self::save_retry_s`] as a span of time.
@@ -250,6 +260,21 @@ fn address_of<'de, D: Deserializer<'de>>(deserializer: D) -> Result<SocketAddr, 
     parse_address(&String::deserialize(deserializer)?).map_err(serde::de::Error::custom)
 }
 
+/// The file with the environment over it.
+///
+/// # Errors
+/// If the file cannot be read.
+pub(crate) fn sources(args: &ConfigArgs) -> anyhow::Result<config::Config> {
+    let mut sources = config::Config::builder();
+    if let Some(file) = &args.config {
+        sources = sources.add_source(config::File::from(file.as_path()).format(config::FileFormat::Toml));
+    }
+    let environment = config::Environment::with_prefix("MONOSLAM").prefix_separator("_").separator("__");
+    let variables = of_server(std::env::vars_os());
+    sources = sources.add_source(environment.try_parsing(true).source(Some(variables)));
+    sources.build().context("the configuration cannot be read")
+}
+
 /// The command line's share of the configuration; what is left out comes from the environment, the file or
 /// the default.
 #[derive(Clone, Debug, Default, Args)]
@@ -298,14 +323,7 @@ impl Config {
     /// # Errors
     /// If the file cannot be read, or a value cannot be used; the message names it.
     pub fn load(args: ConfigArgs) -> anyhow::Result<Self> {
-        let mut sources = config::Config::builder();
-        if let Some(file) = &args.config {
-            sources = sources.add_source(config::File::from(file.as_path()).format(config::FileFormat::Toml));
-        }
-        let environment = config::Environment::with_prefix("MONOSLAM").prefix_separator("_").separator("__");
-        sources =
-            sources.add_source(environment.try_parsing(true).source(Some(of_server(std::env::vars_os()))));
-        let read = sources.build().context("the configuration cannot be read")?;
+        let read = sources(&args)?;
         let mut merged: Self = read.try_deserialize().context("the configuration cannot be used")?;
         let ConfigArgs { data_dir, grpc_addr, http_addr, tls_cert, tls_key, insecure, log, config: _ } = args;
         merged.data_dir = data_dir.unwrap_or(merged.data_dir);
@@ -350,6 +368,7 @@ impl Config {
             ("sessions.realtime_queue_frames", self.sessions.realtime_queue_frames),
             ("sessions.n_localizations", self.sessions.n_localizations),
             ("sessions.n_operations", self.sessions.n_operations),
+            ("sessions.n_cores", self.sessions.n_cores()),
             ("limits.max_operations", self.limits.max_operations),
             ("limits.max_loaded_sessions", self.limits.max_loaded_sessions),
         ];
