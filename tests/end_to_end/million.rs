@@ -39,11 +39,13 @@ async fn fill(folder: &Path) {
         last = N_POINTS - 1
     );
     // Cells of half a unit, as the store makes them of points that are seen from up to eight.
+    let cell = |axis| format!("CAST({axis} * 2 AS INTEGER) / 2.0, CAST({axis} * 2 AS INTEGER) / 2.0 + 0.5");
     let cells = format!(
-        "INSERT INTO point_cells
-         SELECT (session << 40) | id, session, session, floor(x * 2) / 2, floor(x * 2) / 2 + 0.5,
-                floor(y * 2) / 2, floor(y * 2) / 2 + 0.5, floor(z * 2) / 2, floor(z * 2) / 2 + 0.5
-         FROM points WHERE id >= {FIRST_ID}"
+        "INSERT INTO point_cells SELECT (session << 40) | id, session, session, {}, {}, {}
+         FROM points WHERE id >= {FIRST_ID}",
+        cell("x"),
+        cell("y"),
+        cell("z")
     );
     for sql in [points, cells] {
         sqlx::query(sqlx::AssertSqlSafe(sql)).execute(&mut database).await.unwrap();
