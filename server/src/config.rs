@@ -97,6 +97,9 @@ pub struct SessionConfig {
     pub lossless_queue_frames: usize,
     /// Newest frames kept waiting in a REALTIME stream; older ones are dropped. Default 2.
     pub realtime_queue_frames: usize,
+    /// Seconds after which a frame of a REALTIME stream that newer ones follow is dropped when its turn comes.
+    /// Default 0.5: where many streams share the cores, answers are of what is, and not of what was.
+    pub realtime_max_wait_s: f64,
     /// Keep the images of keyframes, as they were sent (raw ones as PNG). Default true.
     pub keep_keyframe_images: bool,
     /// Seconds between attempts to save after one failed, as when the disk is full. Default 1.
@@ -139,6 +142,7 @@ impl Default for SessionConfig {
             idle_unload_s: 60.0,
             lossless_queue_frames: 4,
             realtime_queue_frames: 2,
+            realtime_max_wait_s: 0.5,
             keep_keyframe_images: true,
             save_retry_s: 1.0,
             n_localizations: 1,
@@ -275,6 +279,28 @@ pub(crate) fn sources(args: &ConfigArgs) -> anyhow::Result<config::Config> {
     sources.build().context("the configuration cannot be read")
 }
 
+/// What a configuration that cannot be read comes from.
+fn whose_fault(args: &ConfigArgs) -> String {
+    let unknown = unknown_variables(of_server(std::env::vars_os()).into_keys());
+    match (unknown.as_slice(), &args.config) {
+        ([], None) => "the configuration cannot be used".to_owned(),
+        ([], Some(file)) => format!("the configuration in {} cannot be used", file.display()),
+        (names, _) => {
+            format!("the environment has what is no field of the configuration: {}", names.join(", "))
+        }
+    }
+}
+
+/// Those of these variables of the environment that name no field.
+fn unknown_variables(names: impl Iterator<Item = String>) -> Vec<String> {
+    let fields = serde_json::to_value(Config::default()).unwrap_or_default();
+    let is_unknown = |name: &String| {
+        let field = name.strip_prefix("MONOSLAM_").map(|field| field.to_lowercase().replace("__", "/"));
+        field.is_some_and(|field| fields.pointer(&format!("/{field}")).is_none())
+    };
+    names.filter(is_unknown).collect()
+}
+
 /// The command line's share of the configuration; what is left out comes from the environment, the file or
 /// the default.
 #[derive(Clone, Debug, Default, Args)]
@@ -324,7 +350,7 @@ impl Config {
     /// If the file cannot be read, or a value cannot be used; the message names it.
     pub fn load(args: ConfigArgs) -> anyhow::Result<Self> {
         let read = sources(&args)?;
-        let mut merged: Self = read.try_deserialize().context("the configuration cannot be used")?;
+        let mut merged: Self = read.try_deserialize().with_context(|| whose_fault(&args))?;
         let ConfigArgs { data_dir, grpc_addr, http_addr, tls_cert, tls_key, insecure, log, config: _ } = args;
         merged.data_dir = data_dir.unwrap_or(merged.data_dir);
         merged.grpc_addr = grpc_addr.unwrap_or(merged.grpc_addr);
@@ -347,6 +373,7 @@ impl Config {
             ("shutdown_grace_s", self.shutdown_grace_s),
             ("sessions.idle_unload_s", self.sessions.idle_unload_s),
             ("sessions.save_retry_s", self.sessions.save_retry_s),
+            ("sessions.realtime_max_wait_s", self.sessions.realtime_max_wait_s),
             ("sessions.idle_stream_s", self.sessions.idle_stream_s),
             ("sessions.localize_timeout_s", self.sessions.localize_timeout_s),
         ];
@@ -433,7 +460,8 @@ mod tests {
         let file = folder.path().join("monoslam.toml");
         std::fs::write(&file, "data_dri = \"x\"\n").unwrap();
         let error = Config::load(ConfigArgs { config: Some(file), ..ConfigArgs::default() }).unwrap_err();
-        assert!(format!("{error:#}").contains("data_dri"), "{error:#}");
+        let error = format!("{error:#}");
+        assert!(error.contains("data_dri") && error.contains("monoslam.toml"), "{error}");
     }
 
     #[test]
@@ -474,6 +502,9 @@ mod tests {
             assert!(!is_of_orchestrator(&name.to_uppercase()), "{name}");
         }
         assert!(!is_of_orchestrator("MONOSLAM_DATA_DRI"), "what is mistyped is refused");
+        let given = ["MONOSLAM_DATA_DRI", "MONOSLAM_DATA_DIR", "MONOSLAM_LIMITS__MAX_SESIONS", "HOME"];
+        let unknown = unknown_variables(given.into_iter().map(str::to_owned));
+        assert_eq!(unknown, ["MONOSLAM_DATA_DRI", "MONOSLAM_LIMITS__MAX_SESIONS"]);
     }
 
     #[test]

@@ -80,7 +80,7 @@ fn sessions_that_share_a_core_compute_what_one_alone_does() {
     let sequence = Sequence::preset(Preset::RoomRich, 2);
     let run = || {
         let mut session = new_session(&sequence, Threading::Background);
-        (0..60).for_each(|index| _ = show(&mut session, index as u64, image(&sequence, index)));
+        (0..40).for_each(|index| _ = show(&mut session, index as u64, image(&sequence, index)));
         let map = session.finish();
         let positions = map.points().map(|point| [0, 1, 2].map(|axis| point.position[axis].to_bits()));
         (session.records, positions.collect::<Vec<[u64; 3]>>())

@@ -312,6 +312,7 @@ impl Registry {
         let config = WorkerConfig {
             leaps,
             decode_limits: self.config.get().decode_limits(),
+            realtime_max_wait: Duration::from_secs_f64(self.config.get().sessions.realtime_max_wait_s),
             keep_images: self.config.get().sessions.keep_keyframe_images,
             idle_unload: self.config.get().sessions.idle_unload(),
         };
