@@ -25,7 +25,7 @@ pub struct Budget {
 
 /// Room that a message takes until this is dropped.
 #[derive(Debug)]
-pub struct Charge(#[expect(dead_code, reason = "held")] OwnedSemaphorePermit);
+pub struct Charge(OwnedSemaphorePermit);
 
 impl Budget {
     /// Room for so many bytes.
@@ -69,6 +69,14 @@ impl Budget {
     /// Bytes that are taken.
     pub fn n_taken_bytes(&self) -> usize {
         self.n_bytes.saturating_sub(self.room.available_permits() * UNIT_BYTES)
+    }
+}
+
+impl Charge {
+    /// The room of both, of the same budget.
+    pub fn and(mut self, other: Self) -> Self {
+        self.0.merge(other.0);
+        self
     }
 }
 

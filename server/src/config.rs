@@ -57,7 +57,7 @@ pub struct Limits {
     pub max_message_bytes: usize,
     /// Bytes of messages that are begun and not finished, or wait to be worked off, of all clients together;
     /// who brings more waits, and is refused after five seconds. Default 256 MiB, four of the largest
-    /// messages. Over a WebSocket only complete messages count.
+    /// messages. Over a WebSocket they count as they come.
     pub max_bytes_in_flight: usize,
     /// Largest image, pixels. Default 4096 * 3072. Checked before an image is decoded.
     pub max_image_pixels: u64,
@@ -97,6 +97,9 @@ pub struct SessionConfig {
     pub lossless_queue_frames: usize,
     /// Newest frames kept waiting in a REALTIME stream; older ones are dropped. Default 2.
     pub realtime_queue_frames: usize,
+    /// Seconds after which a frame of a REALTIME stream that newer ones follow is dropped when its turn comes.
+    /// Default 0.5: where many streams share the cores, answers are of what is, and not of what was.
+    pub realtime_max_wait_s: f64,
     /// Keep the images of keyframes, as they were sent (raw ones as PNG). Default true.
     pub keep_keyframe_images: bool,
     /// Seconds between attempts to save after one failed, as when the disk is full. Default 1.
@@ -121,6 +124,10 @@ pub struct SessionConfig {
     pub idle_stream_s: f64,
     /// Operations that run at the same time. Default 1: each takes every core for parts of its time.
     pub n_operations: usize,
+    /// Cores that tracking, mapping and adjusting maps keep busy at the same time, of all sessions together,
+    /// which share them alike; decoding, the network and single images go beside. Default as many as the
+    /// machine has: with more, sessions would only take them from each other.
+    pub n_cores: Option<usize>,
     /// Memory for what maps look like, to find the one that an image shows, MiB. Default 256: some 200 maps
     /// of 150 keyframes; with less, maps are read again for each image.
     pub localization_index_mb: usize,
@@ -135,6 +142,7 @@ impl Default for SessionConfig {
             idle_unload_s: 60.0,
             lossless_queue_frames: 4,
             realtime_queue_frames: 2,
+            realtime_max_wait_s: 0.5,
             keep_keyframe_images: true,
             save_retry_s: 1.0,
             n_localizations: 1,
@@ -143,6 +151,7 @@ impl Default for SessionConfig {
             max_time_leap_s: 31_622_400.0,
             idle_stream_s: 30.0,
             n_operations: 1,
+            n_cores: None,
             localization_index_mb: 256,
             localization_keyframes: 400,
         }
@@ -158,6 +167,11 @@ impl SessionConfig {
     /// [`Self::idle_stream_s`] as a span of time.
     pub fn idle_stream(&self) -> Duration {
         Duration::from_secs_f64(self.idle_stream_s)
+    }
+
+    /// [`Self::n_cores`], or as many as the machine has.
+    pub fn n_cores(&self) -> usize {
+        self.n_cores.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
     }
 
     /// [`Self::save_retry_s`] as a span of time.
@@ -250,6 +264,43 @@ fn address_of<'de, D: Deserializer<'de>>(deserializer: D) -> Result<SocketAddr, 
     parse_address(&String::deserialize(deserializer)?).map_err(serde::de::Error::custom)
 }
 
+/// The file with the environment over it.
+///
+/// # Errors
+/// If the file cannot be read.
+pub(crate) fn sources(args: &ConfigArgs) -> anyhow::Result<config::Config> {
+    let mut sources = config::Config::builder();
+    if let Some(file) = &args.config {
+        sources = sources.add_source(config::File::from(file.as_path()).format(config::FileFormat::Toml));
+    }
+    let environment = config::Environment::with_prefix("MONOSLAM").prefix_separator("_").separator("__");
+    let variables = of_server(std::env::vars_os());
+    sources = sources.add_source(environment.try_parsing(true).source(Some(variables)));
+    sources.build().context("the configuration cannot be read")
+}
+
+/// What a configuration that cannot be read comes from.
+fn whose_fault(args: &ConfigArgs) -> String {
+    let unknown = unknown_variables(of_server(std::env::vars_os()).into_keys());
+    match (unknown.as_slice(), &args.config) {
+        ([], None) => "the configuration cannot be used".to_owned(),
+        ([], Some(file)) => format!("the configuration in {} cannot be used", file.display()),
+        (names, _) => {
+            format!("the environment has what is no field of the configuration: {}", names.join(", "))
+        }
+    }
+}
+
+/// Those of these variables of the environment that name no field.
+fn unknown_variables(names: impl Iterator<Item = String>) -> Vec<String> {
+    let fields = serde_json::to_value(Config::default()).unwrap_or_default();
+    let is_unknown = |name: &String| {
+        let field = name.strip_prefix("MONOSLAM_").map(|field| field.to_lowercase().replace("__", "/"));
+        field.is_some_and(|field| fields.pointer(&format!("/{field}")).is_none())
+    };
+    names.filter(is_unknown).collect()
+}
+
 /// The command line's share of the configuration; what is left out comes from the environment, the file or
 /// the default.
 #[derive(Clone, Debug, Default, Args)]
@@ -298,15 +349,8 @@ impl Config {
     /// # Errors
     /// If the file cannot be read, or a value cannot be used; the message names it.
     pub fn load(args: ConfigArgs) -> anyhow::Result<Self> {
-        let mut sources = config::Config::builder();
-        if let Some(file) = &args.config {
-            sources = sources.add_source(config::File::from(file.as_path()).format(config::FileFormat::Toml));
-        }
-        let environment = config::Environment::with_prefix("MONOSLAM").prefix_separator("_").separator("__");
-        sources =
-            sources.add_source(environment.try_parsing(true).source(Some(of_server(std::env::vars_os()))));
-        let read = sources.build().context("the configuration cannot be read")?;
-        let mut merged: Self = read.try_deserialize().context("the configuration cannot be used")?;
+        let read = sources(&args)?;
+        let mut merged: Self = read.try_deserialize().with_context(|| whose_fault(&args))?;
         let ConfigArgs { data_dir, grpc_addr, http_addr, tls_cert, tls_key, insecure, log, config: _ } = args;
         merged.data_dir = data_dir.unwrap_or(merged.data_dir);
         merged.grpc_addr = grpc_addr.unwrap_or(merged.grpc_addr);
@@ -329,6 +373,7 @@ impl Config {
             ("shutdown_grace_s", self.shutdown_grace_s),
             ("sessions.idle_unload_s", self.sessions.idle_unload_s),
             ("sessions.save_retry_s", self.sessions.save_retry_s),
+            ("sessions.realtime_max_wait_s", self.sessions.realtime_max_wait_s),
             ("sessions.idle_stream_s", self.sessions.idle_stream_s),
             ("sessions.localize_timeout_s", self.sessions.localize_timeout_s),
         ];
@@ -350,6 +395,7 @@ impl Config {
             ("sessions.realtime_queue_frames", self.sessions.realtime_queue_frames),
             ("sessions.n_localizations", self.sessions.n_localizations),
             ("sessions.n_operations", self.sessions.n_operations),
+            ("sessions.n_cores", self.sessions.n_cores()),
             ("limits.max_operations", self.limits.max_operations),
             ("limits.max_loaded_sessions", self.limits.max_loaded_sessions),
         ];
@@ -414,7 +460,8 @@ mod tests {
         let file = folder.path().join("monoslam.toml");
         std::fs::write(&file, "data_dri = \"x\"\n").unwrap();
         let error = Config::load(ConfigArgs { config: Some(file), ..ConfigArgs::default() }).unwrap_err();
-        assert!(format!("{error:#}").contains("data_dri"), "{error:#}");
+        let error = format!("{error:#}");
+        assert!(error.contains("data_dri") && error.contains("monoslam.toml"), "{error}");
     }
 
     #[test]
@@ -455,6 +502,9 @@ mod tests {
             assert!(!is_of_orchestrator(&name.to_uppercase()), "{name}");
         }
         assert!(!is_of_orchestrator("MONOSLAM_DATA_DRI"), "what is mistyped is refused");
+        let given = ["MONOSLAM_DATA_DRI", "MONOSLAM_DATA_DIR", "MONOSLAM_LIMITS__MAX_SESIONS", "HOME"];
+        let unknown = unknown_variables(given.into_iter().map(str::to_owned));
+        assert_eq!(unknown, ["MONOSLAM_DATA_DRI", "MONOSLAM_LIMITS__MAX_SESIONS"]);
     }
 
     #[test]

@@ -11,7 +11,7 @@ const CHANGEABLE: [&str; 6] =
     ["log_filter", "limits.max_sessions", "limits.max_image_pixels", "sessions", "quotas", "access.hosts"];
 
 /// Fields in these tables that do not: they size what is made once.
-const FIXED: [&str; 2] = ["sessions.n_localizations", "quotas.check_s"];
+const FIXED: [&str; 3] = ["sessions.n_localizations", "sessions.n_cores", "quotas.check_s"];
 
 /// Takes effect where there were any when the server started: without, nothing is said to foreign pages.
 const CORS_ORIGINS: &str = "access.cors_origins";
@@ -76,7 +76,10 @@ fn is_changeable(name: &str) -> bool {
 }
 
 /// The value of each field by its name with those of the tables around it.
-fn fields_of(config: &Config) -> anyhow::Result<BTreeMap<String, Value>> {
+///
+/// # Errors
+/// Never, unless a field cannot be written.
+pub fn fields_of(config: &Config) -> anyhow::Result<BTreeMap<String, Value>> {
     let mut fields = BTreeMap::new();
     let mut tables = vec![(String::new(), serde_json::to_value(config)?)];
     while let Some((name, value)) = tables.pop() {

@@ -2,8 +2,11 @@
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
-use server::{Config, ConfigArgs, Hangups, QuickShare, Server, TokenCommand, UpkeepCommand};
+use server::{
+    Config, ConfigArgs, ConfigCommand, Hangups, Manager, QuickShare, Server, TokenCommand, UpkeepCommand,
+};
 use std::io::IsTerminal;
+use std::sync::Arc;
 
 /// Monocular SLAM as a service: frames in over gRPC, maps and trajectories out over gRPC and HTTP
 #[derive(Debug, Parser)]
@@ -26,6 +29,11 @@ enum Command {
     /// Makes, lists and revokes tokens, also while a server runs
     #[command(subcommand)]
     Token(TokenCommand),
+    /// Checks the configuration, or shows where each of its values comes from
+    #[command(subcommand)]
+    Config(ConfigCommand),
+    /// Asks the server that runs with this configuration whether it is ready; exits with 1 if not
+    Health,
 }
 
 fn main() -> anyhow::Result<()> {
@@ -36,6 +44,8 @@ fn main() -> anyhow::Result<()> {
     let outcome = match command {
         None => runtime.block_on(serve(config, arguments, quick_share)),
         Some(Command::Upkeep(command)) => runtime.block_on(command.run(&config, &mut std::io::stdout())),
+        Some(Command::Config(command)) => command.run(&config, &arguments, &mut std::io::stdout()),
+        Some(Command::Health) => runtime.block_on(server::probe(&config, &mut std::io::stdout())),
         Some(Command::Token(command)) => runtime.block_on(command.run(&config, &mut std::io::stdout())),
     };
     // A session that was abandoned at the end of the grace period must not hold the process up.
@@ -44,7 +54,8 @@ fn main() -> anyhow::Result<()> {
 }
 
 async fn serve(mut config: Config, arguments: ConfigArgs, quick_share: bool) -> anyhow::Result<()> {
-    let mut as_read = config.clone();
+    let manager = Arc::new(Manager::of_environment());
+    let (mut as_read, grace) = (config.clone(), config.shutdown_grace());
     let share = quick_share.then(|| QuickShare::prepare(&mut config)).transpose()?;
     // From now on: a hang-up while the database is opened must not end the process.
     let mut hangups = Hangups::new().context("SIGHUP cannot be listened for")?;
@@ -52,12 +63,16 @@ async fn serve(mut config: Config, arguments: ConfigArgs, quick_share: bool) -> 
     if let Some(share) = share {
         println!("{}", share.invitation(running.http_addr, std::io::stdout().is_terminal())?);
     }
+    let status = format!("gRPC on {}, HTTP on {}", running.grpc_addr, running.http_addr);
+    manager.ready(&status);
+    tokio::spawn(manager.clone().beat());
     let requested = server::shutdown_requested();
     tokio::pin!(requested);
     loop {
         tokio::select! {
             requested = requested.as_mut() => break requested?,
             () = hangups.next() => {
+                manager.reloading();
                 running.reload().await;
                 match Config::load(arguments.clone()) {
                     Ok(read) => {
@@ -66,9 +81,11 @@ async fn serve(mut config: Config, arguments: ConfigArgs, quick_share: bool) -> 
                     }
                     Err(error) => tracing::error!("the configuration from before holds: {error:#}"),
                 }
+                manager.ready(&status);
             }
         }
     }
+    manager.stopping(grace);
     running.shutdown().await;
     Ok(())
 }

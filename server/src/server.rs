@@ -65,7 +65,8 @@ impl Server {
         let opening =
             |listener| Opening { listener, tls: tls.clone(), table: table.clone(), meter: meter.clone() };
         let grpc = grpc::serve(service.clone(), opening(grpc_listener), http_addr.port(), closing.clone());
-        let http = rest::serve(rest::App::new(service.clone()), opening(http_listener), closing.clone());
+        let (app, calls) = (rest::App::new(service.clone()), grpc::for_pages(service.clone()));
+        let http = rest::serve(app, calls, opening(http_listener), closing.clone());
         let tasks = vec![("gRPC", tokio::spawn(grpc)), ("HTTP", tokio::spawn(http))];
         let encrypted = if tls.is_some() { ", encrypted" } else { "" };
         tracing::info!(%grpc_addr, %http_addr, "serving gRPC on {grpc_addr} and HTTP on {http_addr}{encrypted}");

@@ -1,6 +1,7 @@
 //! Logs and metrics.
 
 use crate::config::{Config, LogFormat};
+use crate::{measures, process};
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use std::io::IsTerminal;
 use std::sync::OnceLock;
@@ -60,5 +61,7 @@ fn install_metrics() -> PrometheusHandle {
     if metrics::set_global_recorder(recorder).is_err() {
         tracing::warn!("another recorder of metrics is installed: /metrics will be empty");
     }
+    measures::describe();
+    process::started_at_s();
     handle
 }

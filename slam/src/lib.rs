@@ -49,6 +49,7 @@ pub mod bundle;
 pub mod clock;
 pub mod config;
 mod continuity;
+mod cores;
 pub mod features;
 mod frame_result;
 mod front_end;
@@ -80,6 +81,7 @@ pub use config::{
     InitializationConfig, KeyframeConfig, LineConfig, LoopConfig, MappingConfig, PrimitiveConfig,
     RelocalizationConfig, RollingShutterConfig, SlamConfig, SubmapConfig, Threading, TrackingConfig,
 };
+pub use cores::{Cores, Joined as CoresJoined};
 pub use input::{Frame, FrameError, ResumeError, ResumeState, SceneMask};
 pub use localization::{Found, LocalizeCamera, Localizer, Near};
 pub use loops::{KeyframeTies, essential_edges};

@@ -5,6 +5,7 @@ mod lifecycle;
 use crate::backfill::Backfill;
 use crate::clock::{Clock, Stopwatch};
 use crate::config::SlamConfig;
+use crate::cores;
 use crate::features::View;
 use crate::frame_result::FrameResult;
 use crate::front_end::FrontEnd;
@@ -65,7 +66,13 @@ impl Pipeline {
         frame.check(&self.camera, self.last_frame)?;
         self.last_frame = Some((frame.sequence, frame.timestamp_ns));
         let mut stopwatch = Stopwatch::start(self.clock.clone());
+        Ok(cores::with_turn(|| {
+            stopwatch.lap("wait_for_core");
+            self.process(frame, stopwatch)
+        }))
+    }
 
+    fn process(&mut self, frame: Frame, mut stopwatch: Stopwatch) -> FrameReport {
         let (mut view, line_statistics) = self.extract(frame, &mut stopwatch);
         // A stream that comes as fast as it is taken would run ahead of the map, further than any camera
         // does: where new texture is all there is, what the newest keyframes add decides the scale.
@@ -93,7 +100,7 @@ impl Pipeline {
         let events = self.mapping.take_events();
         self.note_camera(&events);
         result.outcome = self.outcome_told(result.outcome);
-        Ok(result.into_report(&view, submap, line_statistics, events, stopwatch.finish()))
+        result.into_report(&view, submap, line_statistics, events, stopwatch.finish())
     }
 
     fn extract(&mut self, frame: Frame, stopwatch: &mut Stopwatch) -> (View, LineTrackingStatistics) {

@@ -1,5 +1,6 @@
 //! A long piece of work, as those see it that wait for it: how far it is, and the wish to give it up.
 
+use crate::cores;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 /// Parts of the whole that progress is told in.
@@ -55,8 +56,10 @@ impl<'a> Stretch<'a> {
         Stretch { work: self.work, begin: at(begin), end: at(end) }
     }
 
-    /// Notes that a share of this stretch is done. Returns whether to give up.
+    /// Notes that a share of this stretch is done, and lets others have the core if it is their turn. Returns
+    /// whether to give up.
     pub fn reach(&self, share: f64) -> bool {
+        cores::let_others();
         let done = self.begin + share.clamp(0.0, 1.0) * (self.end - self.begin);
         self.work.millionths.fetch_max((done * WHOLE) as u32, Ordering::Relaxed);
         self.work.is_cancelled()

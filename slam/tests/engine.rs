@@ -2,7 +2,7 @@
 
 use geometry::Pose;
 use slam::map::FrameState;
-use slam::{Frame, FrameError, FrameReport, InitializationWait, Map, ResumeState};
+use slam::{Cores, Frame, FrameError, FrameReport, InitializationWait, Map, ResumeState};
 use slam::{SlamConfig, Threading, TrackingOutcome};
 use std::collections::BTreeMap;
 use synthetic::{Preset, Sequence};
@@ -73,6 +73,30 @@ fn the_same_frames_and_seed_give_the_same_trajectory() {
     assert_eq!(first.0, second.0);
     assert_eq!(first.1, second.1);
     assert!(!first.2.is_empty() && first.2 == second.2);
+}
+
+#[test]
+fn sessions_that_share_a_core_compute_what_one_alone_does() {
+    let sequence = Sequence::preset(Preset::RoomRich, 2);
+    let run = || {
+        let mut session = new_session(&sequence, Threading::Background);
+        (0..40).for_each(|index| _ = show(&mut session, index as u64, image(&sequence, index)));
+        let map = session.finish();
+        let positions = map.points().map(|point| [0, 1, 2].map(|axis| point.position[axis].to_bits()));
+        (session.records, positions.collect::<Vec<[u64; 3]>>())
+    };
+    let alone = run();
+    let start = std::time::Instant::now();
+    let cores = Cores::new(1, move || start.elapsed());
+    let shared = std::thread::scope(|scope| {
+        let in_turns = || {
+            let _joined = cores.join();
+            run()
+        };
+        [0, 1].map(|_| scope.spawn(in_turns)).map(|thread| thread.join().unwrap())
+    });
+    assert!(!alone.1.is_empty() && shared.iter().all(|shared| *shared == alone));
+    assert_eq!(cores.n_waiting(), 0);
 }
 
 #[test]

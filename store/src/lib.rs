@@ -93,7 +93,7 @@ pub use measured::MeasuredKeyframe;
 pub use number::MAX_SEQUENCE;
 pub use open::{Durability, Store, StoreOptions};
 pub use page::Page;
-pub use points::{Bounds, PointQuery};
+pub use points::{Bounds, PlacedPoint, PointQuery};
 pub use primitives::PrimitiveRecord;
 pub use save::{Committed, KeyframeImage, SessionStatus};
 pub use segments::Segments;

@@ -4,7 +4,7 @@ use crate::blob::positions;
 use crate::keyframes::select_keyframes;
 use crate::lines::{LineCursor, LineQuery};
 use crate::number::{from_column, keyframe_column};
-use crate::points::select_points;
+use crate::points::{WHOLE, select_points};
 use crate::primitives::read_primitives;
 use crate::session::read_session;
 use crate::{KeyframeRecord, PointQuery, SessionRecord, Store, StoreError};
@@ -78,7 +78,7 @@ impl MapSnapshot {
     ) -> Result<Vec<PointLandmark>, StoreError> {
         let query = PointQuery { submap, ..PointQuery::default() };
         let after = after.map_or(0, |id| id.get() as i64);
-        select_points(&mut self.transaction, self.session, &query, after, ROWS_PER_STEP).await
+        select_points(&mut self.transaction, &WHOLE, self.session, &query, after, ROWS_PER_STEP).await
     }
 
     /// The next lines with ids above the given one; none at the end.

@@ -100,7 +100,9 @@ async fn tokens_decide_who_does_what_on_both_ports() {
     assert_eq!(status(server, Method::GET, "/metrics", &as_admin).await, 200);
     let answer = http(server, Method::GET, "/v1/sessions/robot~kitchen", &as_admin).await;
     assert_eq!(answer.json::<Value>().await.unwrap()["id"], "robot~kitchen");
-    for public in ["/", "/capture", "/healthz", "/readyz", "/openapi.json"] {
+    for public in
+        ["/", "/capture", "/api", "/api/page.js", "/api/page.css", "/healthz", "/readyz", "/openapi.json"]
+    {
         assert_eq!(status(server, Method::GET, public, &[]).await, 200, "{public}");
     }
 }

@@ -124,9 +124,9 @@ const HEAD: &str = "\
 Made by a test (`cargo test -p tests --test end_to_end api`), which asks each over a real socket, and fails when this
 table is not what the server has. `isolation` asks each with another owner's token and with none. Where there is a
 third test, it is the first other one that names the call or the end of the path. *Needs* is the
-role of the token; what is not listed here needs `admin`. Beside these the HTTP port has the pages `/` and `/capture`
-with their files, and `/openapi.json`, which need nothing. The gRPC port has health checks and reflection, which need
-nothing either.
+role of the token; what is not listed here needs `admin`. Beside these the HTTP port has the pages `/`, `/capture` and `/api`
+with their files, and `/openapi.json`, which need nothing, and takes the calls by gRPC-Web. The gRPC port has health checks and
+reflection, which need nothing either.
 
 ";
 

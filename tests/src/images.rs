@@ -62,6 +62,11 @@ pub struct SmallWorld {
 }
 
 impl SmallWorld {
+    /// The same seen by a camera of 640 x 480 pixels.
+    pub fn vga(seed: u64) -> Self {
+        Self { sequence: Sequence::preset(Preset::RoomRich, seed) }
+    }
+
     /// The world and the path; frames are rendered when asked for.
     pub fn new(seed: u64) -> Self {
         let mut config = SequenceConfig::preset(Preset::RoomRich, seed);

@@ -15,6 +15,9 @@ pub enum Need {
     Role(Role),
 }
 
+/// Full name of the service.
+const SERVICE: &str = "monoslam.v1.SlamService";
+
 /// Calls that read.
 const READING: [&str; 12] = [
     "GetSession",
@@ -49,8 +52,8 @@ pub fn of_call(path: &str) -> Need {
         return Need::Role(Role::Admin);
     };
     match service {
-        "monoslam.v1.SlamService" if READING.contains(&method) => Need::Role(Role::Reader),
-        "monoslam.v1.SlamService" if WRITING.contains(&method) => Need::Role(Role::Writer),
+        SERVICE if READING.contains(&method) => Need::Role(Role::Reader),
+        SERVICE if WRITING.contains(&method) => Need::Role(Role::Writer),
         // What the service looks like is in every program; whether it lives is for those that watch it.
         "grpc.health.v1.Health"
         | "grpc.reflection.v1.ServerReflection"
@@ -65,11 +68,13 @@ pub fn of_route(method: &Method, path: &str) -> Need {
     let is_reading = matches!(*method, Method::GET | Method::HEAD);
     match (segments.as_slice(), is_reading) {
         (["" | "capture" | "favicon.svg" | "openapi.json" | "healthz" | "readyz"], true) => Need::Nothing,
-        (["assets", ..], true) => Need::Nothing,
+        (["assets" | "api", ..], true) => Need::Nothing,
         (["metrics"], true) => Need::Metrics,
         // The cookie of who has no token any more can be cleared.
         (["v1", "tickets"], _) if *method == Method::DELETE => Need::Nothing,
         (["v1", "tickets"], _) => Need::Role(Role::Reader),
+        // gRPC-Web.
+        ([service, _], false) if *service == SERVICE => of_call(path),
         (["v1", "sessions", _, "stream"], _) => Need::Role(Role::Writer),
         (["v1", "sessions", _, "localize"], _) => Need::Role(Role::Reader),
         (["v1", "localize"], _) => Need::Role(Role::Reader),
@@ -112,5 +117,9 @@ mod tests {
         assert_eq!(of(Method::GET, "/v1/other"), Need::Role(Role::Admin));
         assert_eq!(of(Method::GET, "//v1/sessions"), Need::Role(Role::Admin));
         assert_eq!(of(Method::POST, "/metrics"), Need::Role(Role::Admin));
+        assert_eq!(of(Method::POST, "/monoslam.v1.SlamService/GetSession"), Need::Role(Role::Reader));
+        assert_eq!(of(Method::POST, "/monoslam.v1.SlamService/DeleteSession"), Need::Role(Role::Writer));
+        assert_eq!(of(Method::POST, "/monoslam.v1.SlamService/Unheard"), Need::Role(Role::Admin));
+        assert_eq!(of(Method::GET, "/monoslam.v1.SlamService/GetSession"), Need::Role(Role::Admin));
     }
 }

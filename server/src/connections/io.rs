@@ -1,10 +1,11 @@
-//! A socket that notes whether its client reads.
+//! A socket that notes whether its client reads, and counts what comes where that is wanted.
 
+use super::inflow::{Inflow, Waiting};
 use super::table::Place;
 use std::io;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, ready};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 
@@ -12,12 +13,15 @@ use tokio::net::TcpStream;
 pub struct Socket {
     stream: TcpStream,
     place: Arc<Place>,
+    inflow: Inflow,
+    /// Room for what was read last; nothing more is read before there is some.
+    waiting: Option<Waiting>,
 }
 
 impl Socket {
     /// A socket with its place.
-    pub fn new(stream: TcpStream, place: Arc<Place>) -> Self {
-        Self { stream, place }
+    pub fn new(stream: TcpStream, place: Arc<Place>, inflow: Inflow) -> Self {
+        Self { stream, place, inflow, waiting: None }
     }
 
     fn noted<T>(&self, outcome: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
@@ -32,7 +36,12 @@ impl AsyncRead for Socket {
         cx: &mut Context<'_>,
         into: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_read(cx, into)
+        let Self { stream, inflow, waiting, .. } = &mut *self;
+        ready!(inflow.poll(waiting, cx))?;
+        let n_before = into.filled().len();
+        let outcome = Pin::new(stream).poll_read(cx, into);
+        *waiting = inflow.note(into.filled().len() - n_before);
+        outcome
     }
 }
 

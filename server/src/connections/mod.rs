@@ -6,6 +6,7 @@
 
 mod body;
 mod files;
+mod inflow;
 mod io;
 mod metered;
 mod refusal;
@@ -14,6 +15,7 @@ mod table;
 mod tls;
 
 pub use files::raise_file_limit;
+pub use inflow::Inflow;
 pub use metered::Meter;
 pub use serve::{Interface, Opening, Peer, Port, serve};
 pub use table::{Table, client_network};

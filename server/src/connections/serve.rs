@@ -1,6 +1,7 @@
 //! Takes connections and answers requests on them.
 
 use super::body::{Answer, Timed};
+use super::inflow::Inflow;
 use super::io::Socket;
 use super::metered::{Messages, Meter, Whole};
 use super::refusal::Refusals;
@@ -115,6 +116,7 @@ pub async fn serve(port: Port, router: Router, closing: CancellationToken) {
             interface,
             peer,
             place,
+            inflow: Inflow::new(meter.budget.clone()),
             meter: meter.clone(),
             patient_paths,
             router: router.clone(),
@@ -134,6 +136,7 @@ struct Connection {
     interface: Interface,
     peer: Peer,
     place: Arc<Place>,
+    inflow: Inflow,
     meter: Meter,
     patient_paths: &'static [&'static str],
     router: Router,
@@ -142,7 +145,7 @@ struct Connection {
 
 impl Connection {
     async fn run(self, stream: TcpStream, tls: Option<Arc<Certificates>>) {
-        let socket = Socket::new(stream, self.place.clone());
+        let socket = Socket::new(stream, self.place.clone(), self.inflow.clone());
         let Some(certificates) = tls else { return self.answer(socket).await };
         let drop = self.place.activity().drop.clone();
         let encrypted = tokio::select! {
@@ -201,6 +204,7 @@ impl Connection {
     ) -> impl Future<Output = Result<hyper::Response<Answer>, Infallible>> + use<> {
         let in_flight = self.place.begin();
         request.extensions_mut().insert(self.peer);
+        request.extensions_mut().insert(self.inflow.clone());
         let is_patient = self.patient_paths.contains(&request.uri().path());
         let timeout = span(self.place.limits().body_timeout_s);
         let charges = Charges::default();

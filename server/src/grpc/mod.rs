@@ -18,6 +18,7 @@ use crate::page::PageRequest;
 use crate::service::Service;
 use crate::session::SessionId;
 use crate::watch::watch;
+use axum::Router;
 use proto::v1;
 use proto::v1::slam_service_server::{SlamService, SlamServiceServer};
 use std::pin::Pin;
@@ -87,17 +88,31 @@ fn routes(service: Arc<Service>) -> anyhow::Result<Routes> {
             .register_encoded_file_descriptor_set(proto::FILE_DESCRIPTOR_SET)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
-    let max_bytes = service.config().limits.max_message_bytes;
-    // The limit is of what a message unpacks to as well.
-    let slam = SlamServiceServer::new(Handler { service })
-        .max_decoding_message_size(max_bytes)
-        .accept_compressed(CompressionEncoding::Gzip)
-        .accept_compressed(CompressionEncoding::Zstd)
+    let slam = slam_service(service)
         .send_compressed(CompressionEncoding::Gzip)
         .send_compressed(CompressionEncoding::Zstd);
     // Many programs still ask by the older name.
     let older = reflection().build_v1alpha()?;
     Ok(Routes::new(slam).add_service(reflection().build_v1()?).add_service(older))
+}
+
+fn slam_service(service: Arc<Service>) -> SlamServiceServer<Handler> {
+    let max_bytes = service.config().limits.max_message_bytes;
+    // The limit is of what a message unpacks to as well.
+    SlamServiceServer::new(Handler { service })
+        .max_decoding_message_size(max_bytes)
+        .accept_compressed(CompressionEncoding::Gzip)
+        .accept_compressed(CompressionEncoding::Zstd)
+}
+
+/// The calls as pages in a browser make them, by gRPC-Web, for the port that pages come from: the door of
+/// that port stands before it. Streams of the server work, those of the client do not, as browsers cannot
+/// send them.
+pub(crate) fn for_pages(service: Arc<Service>) -> Router {
+    Routes::new(slam_service(service))
+        .into_axum_router()
+        .layer(tonic_web::GrpcWebLayer::new())
+        .layer(axum::middleware::from_fn(deadline::keep))
 }
 
 /// The server's side of a watch.

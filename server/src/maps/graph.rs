@@ -53,6 +53,8 @@ pub struct Node {
     pub sequence: u64,
     /// The client's time of the frame, nanoseconds.
     pub timestamp_ns: i64,
+    /// The same in text, for programs whose numbers do not hold all its digits, such as JavaScript's.
+    pub timestamp_ns_text: String,
     /// The camera's position.
     pub position: [f64; 3],
 }
@@ -145,6 +147,7 @@ impl Node {
             submap_id: record.submap.0,
             sequence: record.sequence,
             timestamp_ns: record.timestamp_ns,
+            timestamp_ns_text: record.timestamp_ns.to_string(),
             position: units.position(&record.camera_from_world.inverse().translation),
         }
     }

@@ -7,6 +7,7 @@ use crate::page::{Page, PageRequest};
 use crate::session::SessionId;
 use serde::Serialize;
 use slam::map::{PointLandmark, SubmapId};
+use store::PlacedPoint;
 use utoipa::ToSchema;
 
 /// A point of the map.
@@ -44,6 +45,17 @@ impl Point {
     }
 }
 
+impl From<(PlacedPoint, Units)> for Point {
+    fn from((point, units): (PlacedPoint, Units)) -> Self {
+        Self {
+            id: point.id.get(),
+            submap_id: point.submap.0,
+            position: units.position(&point.position),
+            n_observations: point.n_observations,
+        }
+    }
+}
+
 impl PointQuery {
     fn in_map_units(&self, units: Units) -> Result<store::PointQuery, ApiError> {
         let (bounds, near) = self.place.in_map_units(units)?;
@@ -66,8 +78,8 @@ impl MapQueries {
         let after = page.after()?;
         let units = self.units(id).await?;
         let query = query.in_map_units(units)?;
-        let points = self.store.points_page(id.as_str(), &query, after, page.size()).await?;
-        Ok(Scaled::new(units, Page::of(points, |point| Point::new(&point, units))))
+        let points = self.store.placed_points_page(id.as_str(), &query, after, page.size()).await?;
+        Ok(Scaled::new(units, Page::of(points, |point| Point::from((point, units)))))
     }
 
     /// Every wanted point in the order of their ids.
@@ -80,7 +92,7 @@ impl MapQueries {
         query: &PointQuery,
     ) -> Result<Scaled<Batches<Point>>, ApiError> {
         let units = self.units(id).await?;
-        let points = self.store.points(id.as_str(), query.in_map_units(units)?).await?;
-        Ok(Scaled::new(units, batches(points, move |point| Point::new(&point, units))))
+        let points = self.store.placed_points(id.as_str(), query.in_map_units(units)?).await?;
+        Ok(Scaled::new(units, batches(points, move |point| Point::from((point, units)))))
     }
 }

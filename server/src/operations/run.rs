@@ -38,14 +38,19 @@ async fn work(tools: &Tools, turn: Turn) -> Result<Outcome, ApiError> {
     let events = || registry.events_of(&session);
     match &from {
         None => {
-            let adjusted =
-                registry.occupy(&ids, "adjusting its map", || adjust(&into, events(), work.clone())).await?;
+            let adjusted = registry
+                .occupy(&ids, "adjusting its map", || {
+                    adjust(&into, events(), (work.clone(), registry.cores()))
+                })
+                .await?;
             Ok(adjusted.map_or(Outcome::Cancelled, Outcome::Adjusted))
         }
         Some(from) => {
             let from = LoadContext { store, id: from };
             let joined = registry
-                .occupy(&ids, "joining it with another", || join(&into, &from, events(), work.clone()))
+                .occupy(&ids, "joining it with another", || {
+                    join(&into, &from, events(), (work.clone(), registry.cores()))
+                })
                 .await?;
             Ok(joined.map_or(Outcome::Cancelled, Outcome::Joined))
         }

@@ -59,18 +59,25 @@ fn answer(path: &str, caching: &'static str, request: &HeaderMap) -> Response {
     };
     let tag = tag_of(file);
     let known = request.get(IF_NONE_MATCH).is_some_and(|known| known.as_bytes() == tag.as_bytes());
-    let headers: [(HeaderName, String); 6] = [
-        (CONTENT_TYPE, media_type(path).to_owned()),
-        (CACHE_CONTROL, caching.to_owned()),
-        (ETAG, tag),
-        (CONTENT_SECURITY_POLICY, POLICY.to_owned()),
-        (REFERRER_POLICY, "no-referrer".to_owned()),
-        (X_CONTENT_TYPE_OPTIONS, "nosniff".to_owned()),
-    ];
+    let headers = (page_headers(media_type(path), caching), [(ETAG, tag)]);
     if known {
-        return (StatusCode::NOT_MODIFIED, headers).into_response();
+        return (StatusCode::NOT_MODIFIED, headers.0, headers.1).into_response();
     }
-    (headers, Body::from(file.contents())).into_response()
+    (headers.0, headers.1, Body::from(file.contents())).into_response()
+}
+
+/// What every file of a page is sent with.
+pub(super) fn page_headers(
+    media_type: &'static str,
+    caching: &'static str,
+) -> [(HeaderName, &'static str); 5] {
+    [
+        (CONTENT_TYPE, media_type),
+        (CACHE_CONTROL, caching),
+        (CONTENT_SECURITY_POLICY, POLICY),
+        (REFERRER_POLICY, "no-referrer"),
+        (X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    ]
 }
 
 fn tag_of(file: &File<'_>) -> String {

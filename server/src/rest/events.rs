@@ -24,6 +24,8 @@ pub(super) struct FrameEvent {
     sequence: u64,
     /// The client's time of the frame, nanoseconds.
     timestamp_ns: i64,
+    /// The same in text, for programs whose numbers do not hold all its digits, such as JavaScript's.
+    timestamp_ns_text: String,
     /// How tracking ended.
     state: TrackingState,
     /// Why there is no pose, or a weak one, in a plain sentence. Empty when tracked.
@@ -142,6 +144,7 @@ impl FrameEvent {
         Self {
             sequence: report.sequence,
             timestamp_ns: report.timestamp_ns,
+            timestamp_ns_text: report.timestamp_ns.to_string(),
             state: report.outcome.state().into(),
             reason: report.reason(),
             world_from_camera: report.world_from_camera.as_ref().map(|pose| units.pose(pose)),

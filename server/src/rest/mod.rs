@@ -18,6 +18,7 @@ mod place;
 mod points;
 mod primitives;
 mod problem;
+mod reference;
 mod scale;
 mod scene;
 mod sessions;
@@ -31,8 +32,8 @@ use crate::connections::{self, Interface, Opening, Port};
 use crate::service::Service;
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
-use axum::http::Method;
 use axum::http::header::{AUTHORIZATION, CONTENT_TYPE, ETAG, IF_NONE_MATCH, LOCATION, RETRY_AFTER};
+use axum::http::{HeaderName, Method};
 use metrics_exporter_prometheus::PrometheusHandle;
 use std::sync::Arc;
 use std::time::Duration;
@@ -62,6 +63,18 @@ const METRICS_FOLDED_EVERY: Duration = Duration::from_secs(5);
 
 /// Browsers need not ask again whether a foreign page may for this long.
 const CORS_REMEMBERED: Duration = Duration::from_secs(600);
+
+/// What gRPC-Web has in a request, and in an answer.
+const GRPC_WEB_SENT: [HeaderName; 3] = [
+    HeaderName::from_static("x-grpc-web"),
+    HeaderName::from_static("x-user-agent"),
+    HeaderName::from_static("grpc-timeout"),
+];
+const GRPC_WEB_ANSWERED: [HeaderName; 3] = [
+    HeaderName::from_static("grpc-status"),
+    HeaderName::from_static("grpc-message"),
+    HeaderName::from_static("grpc-status-details-bin"),
+];
 
 /// What the handlers share.
 #[derive(Clone)]
@@ -139,6 +152,11 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
 /// The whole interface, without a socket. Behind its door, requests that come over no connection are this
 /// process's own.
 pub fn router(app: App) -> Router {
+    router_with(app, Router::new())
+}
+
+/// As [`router`], with more behind the same door.
+fn router_with(app: App, more: Router) -> Router {
     let access = app.service.access().clone();
     // Where no foreign page is let in, nothing is said about them.
     let cors = option_layer((!access.config().cors_origins.is_empty()).then(|| cors(access.clone())));
@@ -156,6 +174,9 @@ pub fn router(app: App) -> Router {
         .route("/capture", axum::routing::get(assets::capture))
         .route("/favicon.svg", axum::routing::get(assets::icon))
         .route("/assets/{name}", axum::routing::get(assets::asset))
+        .merge(reference::routes())
+        .with_state(app.clone())
+        .merge(more.reset_fallback())
         .fallback(problem::not_found)
         .method_not_allowed_fallback(problem::method_not_allowed)
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
@@ -165,7 +186,6 @@ pub fn router(app: App) -> Router {
         .layer(CompressionLayer::new())
         .layer(cors)
         .layer(CatchPanicLayer::custom(panicked))
-        .with_state(app)
 }
 
 /// Pages of the origins that are allowed may use the interface, with tokens and without cookies.
@@ -173,8 +193,10 @@ fn cors(access: Arc<Access>) -> CorsLayer {
     CorsLayer::new()
         .allow_origin(AllowOrigin::predicate(move |origin, _| access.allows_origin(origin)))
         .allow_methods([Method::GET, Method::POST, Method::PATCH, Method::DELETE])
-        .allow_headers([AUTHORIZATION, CONTENT_TYPE, IF_NONE_MATCH])
-        .expose_headers([ETAG, LOCATION, RETRY_AFTER])
+        .allow_headers(Vec::from_iter(
+            [AUTHORIZATION, CONTENT_TYPE, IF_NONE_MATCH].into_iter().chain(GRPC_WEB_SENT),
+        ))
+        .expose_headers(Vec::from_iter([ETAG, LOCATION, RETRY_AFTER].into_iter().chain(GRPC_WEB_ANSWERED)))
         .max_age(CORS_REMEMBERED)
 }
 
@@ -185,12 +207,20 @@ pub fn openapi() -> utoipa::openapi::OpenApi {
     document
 }
 
-/// Serves HTTP until `closing`, then lets what is under way end.
-pub(crate) async fn serve(app: App, opening: Opening, closing: CancellationToken) -> anyhow::Result<()> {
+/// Serves HTTP, and `calls` beside it, until `closing`, then lets what is under way end.
+///
+/// # Errors
+/// None so far.
+pub(crate) async fn serve(
+    app: App,
+    calls: Router,
+    opening: Opening,
+    closing: CancellationToken,
+) -> anyhow::Result<()> {
     tokio::spawn(fold_metrics(app.metrics.clone(), closing.clone()));
     let Opening { listener, tls, table, meter } = opening;
     let port = Port { listener, interface: Interface::Http, tls, table, meter, patient_paths: &[] };
-    connections::serve(port, router(app), closing).await;
+    connections::serve(port, router_with(app, calls), closing).await;
     Ok(())
 }
 

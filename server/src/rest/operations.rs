@@ -64,6 +64,8 @@ pub(super) struct Operation {
     ended_at_ns: Option<i64>,
     /// When it began, in text, for programs whose numbers do not hold all the digits.
     created_at_ns_text: String,
+    /// When it ended, likewise.
+    ended_at_ns_text: Option<String>,
     /// What adjusting a map came to.
     optimized: Option<OptimizeResult>,
     /// What joining two maps came to.
@@ -102,6 +104,8 @@ pub(super) struct MergeResult {
     sequence_shift: i64,
     /// What was added to their times, nanoseconds.
     timestamp_shift_ns: i64,
+    /// The same in text.
+    timestamp_shift_ns_text: String,
     /// Loops closed inside of the joined map.
     n_loops: usize,
     /// Cost before the adjustment that followed.
@@ -185,6 +189,7 @@ impl From<Told> for Operation {
             error_code: told.error.map(|error| error.code.name()),
             created_at_ns_text: told.created_at_ns.to_string(),
             created_at_ns: told.created_at_ns,
+            ended_at_ns_text: told.ended_at_ns.map(|ns| ns.to_string()),
             ended_at_ns: told.ended_at_ns,
             optimized,
             merged,
@@ -207,6 +212,7 @@ impl From<crate::session::Joined> for MergeResult {
             n_frames: joined.n_frames,
             sequence_shift: joined.sequence_shift,
             timestamp_shift_ns: joined.timestamp_shift_ns,
+            timestamp_shift_ns_text: joined.timestamp_shift_ns.to_string(),
             n_loops: joined.n_loops,
             cost_before: joined.costs.0,
             cost_after: joined.costs.1,

@@ -12,12 +12,14 @@ use super::model::Session;
 use super::{App, ProblemDetails};
 use crate::access::Caller;
 use crate::budget::Charge;
+use crate::connections::Inflow;
 use crate::error::{ApiError, ErrorCode};
 use crate::model::Units;
 use crate::service::Service;
 use crate::session::{
     Encoding, FrameQueue, Mode, OpenRequest, Policy, Queued, Rejection, Reply, SentFrame, SentImage,
 };
+use axum::Extension;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Path, State};
@@ -133,6 +135,7 @@ pub(super) async fn stream(
     AskedBy(caller): AskedBy,
     Path(id): Path<String>,
     Params(wanted): Params<Wanted>,
+    inflow: Option<Extension<Inflow>>,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, ApiError> {
     let id = caller.session(&id, "id")?;
@@ -146,10 +149,20 @@ pub(super) async fn stream(
     let request = OpenRequest { id, mode: Mode::MapAndLocalize, policy, take_over, new_segment };
     let max_bytes = app.service.config().limits.max_message_bytes;
     let upgrade = upgrade.max_message_size(max_bytes).max_frame_size(max_bytes);
-    Ok(upgrade.on_upgrade(move |socket| serve(app.service, caller, socket, request)))
+    // None where a request comes over no connection.
+    let inflow = inflow.map(|Extension(inflow)| inflow);
+    Ok(upgrade.on_upgrade(move |socket| serve(app.service, (caller, inflow), socket, request)))
 }
 
-async fn serve(service: Arc<Service>, caller: Caller, socket: WebSocket, request: OpenRequest) {
+async fn serve(
+    service: Arc<Service>,
+    (caller, inflow): (Caller, Option<Inflow>),
+    socket: WebSocket,
+    request: OpenRequest,
+) {
+    if let Some(inflow) = &inflow {
+        inflow.count();
+    }
     let (sink, mut source) = socket.split();
     let (replies, answers) = mpsc::channel(MAX_WAITING_ANSWERS);
     let opened = service.open_stream(&caller, request, replies.clone()).await;
@@ -168,7 +181,7 @@ async fn serve(service: Arc<Service>, caller: Caller, socket: WebSocket, request
     tokio::select! {
         // The session has ended the stream, or the client is gone.
         () = &mut writing => queue.close(Ok(())),
-        ending = read_frames(&service, &caller, &mut source, &queue) => {
+        ending = read_frames(&caller, inflow.as_ref(), &mut source, &queue) => {
             queue.close(ending);
             writing.await;
         }
@@ -198,24 +211,23 @@ async fn write_answers(
 
 /// Queues frames until the client says that there are no more, is gone, or breaks the rules.
 async fn read_frames(
-    service: &Service,
     caller: &Caller,
+    inflow: Option<&Inflow>,
     source: &mut SplitStream<WebSocket>,
     queue: &FrameQueue,
 ) -> Result<(), ApiError> {
     while let Ok(Some(message)) = tokio::time::timeout(PATIENCE, source.next()).await {
+        // Also what was no frame needs no room any more.
+        let charge = inflow.and_then(Inflow::take).map(Arc::new);
         let item = match message {
-            Ok(Message::Binary(bytes)) => {
-                let charge = service.budget().take(bytes.len()).await?;
-                frame(bytes, Some(Arc::new(charge)))?
-            }
+            Ok(Message::Binary(bytes)) => frame(bytes, charge)?,
             Ok(Message::Text(text)) if text.as_str() == "finish" => return Ok(()),
             Ok(Message::Text(_)) => {
                 return Err(ApiError::invalid("message", "a text message can only be `finish`"));
             }
             Ok(Message::Ping(_) | Message::Pong(_)) => continue,
             Ok(Message::Close(_)) => return Ok(()),
-            Err(error) => return Err(broken(&error)),
+            Err(error) => return Err(inflow.and_then(Inflow::refusal).unwrap_or_else(|| broken(&error))),
         };
         if caller.push(queue, item).await.is_err() {
             break;

@@ -1,7 +1,9 @@
 //! Health, readiness and metrics.
 
 use super::{App, ProblemDetails};
+use crate::data::database_of;
 use crate::error::{ApiError, ErrorCode};
+use crate::process;
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
@@ -41,5 +43,10 @@ pub(super) async fn metrics(State(app): State<App>) -> impl IntoResponse {
     metrics::gauge!("monoslam_sessions_loaded").set(n_loaded as f64);
     metrics::gauge!("monoslam_bytes_in_flight").set(app.service.budget().n_taken_bytes() as f64);
     metrics::gauge!("monoslam_streams_open").set(n_writers as f64);
+    let is_ready = app.service.check_storage().await.is_ok();
+    metrics::gauge!("monoslam_storage_ready").set(if is_ready { 1.0 } else { 0.0 });
+    let database = database_of(&app.service.config());
+    // It looks at files.
+    let _ = tokio::task::spawn_blocking(move || process::measure(&database)).await;
     ([(CONTENT_TYPE, "text/plain; version=0.0.4")], app.metrics.render())
 }

@@ -13,9 +13,10 @@ use super::worker::{Ends, Mode, Persistence, Replies, Stream, Worker, WorkerConf
 use super::{SessionId, writer};
 use crate::current::Current;
 use crate::error::{ApiError, ErrorCode};
+use slam::Cores;
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use store::Store;
 use tokio::runtime::Handle;
 use tokio::sync::{broadcast, mpsc, oneshot, watch};
@@ -45,6 +46,8 @@ pub struct Registry {
     slots: Slots<SessionId, Loaded, Events>,
     /// Sessions that an operation works on. Whoever wants one of them is told instead of waiting for long.
     occupied: Occupancy,
+    /// What sessions work with.
+    cores: Cores,
     /// Ends what watches sessions.
     closed: CancellationToken,
 }
@@ -77,7 +80,15 @@ impl Registry {
     /// A registry without sessions.
     pub fn new(config: Current, store: Store) -> Self {
         let slots = Slots::new(config.get().limits.max_loaded_sessions);
-        Self { config, store, slots, occupied: Occupancy::default(), closed: CancellationToken::new() }
+        let (occupied, closed) = (Occupancy::default(), CancellationToken::new());
+        let start = Instant::now();
+        let cores = Cores::new(config.get().sessions.n_cores(), move || start.elapsed());
+        Self { config, store, slots, occupied, cores, closed }
+    }
+
+    /// What sessions, and what adjusts maps, work with.
+    pub fn cores(&self) -> &Cores {
+        &self.cores
     }
 
     /// Gives a client the session to write into, loading it if it is not in memory. Answers go to `replies`.
@@ -301,13 +312,15 @@ impl Registry {
         let config = WorkerConfig {
             leaps,
             decode_limits: self.config.get().decode_limits(),
+            realtime_max_wait: Duration::from_secs_f64(self.config.get().sessions.realtime_max_wait_s),
             keep_images: self.config.get().sessions.keep_keyframe_images,
             idle_unload: self.config.get().sessions.idle_unload(),
         };
         let (loaded, ends) =
             channels(stored.metres_per_unit, events, self.config.get().sessions.idle_stream());
         let stay = Stay { _room: room, _ended: loaded.ended.clone().drop_guard() };
-        spawn(Beginning { id: id.clone(), config, stored, persistence, saving, ends, stay }).await?;
+        let cores = self.cores.clone();
+        spawn(Beginning { id: id.clone(), config, stored, persistence, saving, ends, stay, cores }).await?;
         Ok(loaded)
     }
 }
@@ -340,6 +353,7 @@ struct Beginning {
     ends: Ends,
     /// Dropped when the thread ends, however that comes.
     stay: Stay,
+    cores: Cores,
 }
 
 /// A session's stay in memory: its room is free before anybody learns that it has ended.
@@ -354,7 +368,8 @@ async fn spawn(beginning: Beginning) -> Result<(), ApiError> {
     let runtime = Handle::current();
     let thread = std::thread::Builder::new().name(format!("session-{}", beginning.id));
     let run = move || {
-        let Beginning { id, config, stored, persistence, saving, ends, stay: _stay } = beginning;
+        let Beginning { id, config, stored, persistence, saving, ends, stay: _stay, cores } = beginning;
+        let _joined = cores.join();
         let pipeline = match load::resume(stored) {
             Ok(pipeline) => pipeline,
             Err(error) => {

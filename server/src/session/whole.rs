@@ -6,7 +6,7 @@ use super::load::{self, LoadContext, StoredSession};
 use crate::error::{ApiError, ErrorCode};
 use futures_util::TryStreamExt;
 use slam::map::MapError;
-use slam::{Merged, PlacedFrame, Recordings, Work};
+use slam::{Cores, Merged, PlacedFrame, Recordings, Work};
 use std::sync::Arc;
 use store::{FrameEntry, SessionStatus};
 
@@ -76,13 +76,13 @@ impl Joined {
 pub async fn adjust(
     context: &LoadContext<'_>,
     events: Events,
-    work: Arc<Work>,
+    (work, cores): (Arc<Work>, &Cores),
 ) -> Result<Option<Adjusted>, ApiError> {
     let stored = load::read(context).await?;
     let status = SessionStatus { state: stored.last_state };
     let watched = work.clone();
     let (config, map) = (stored.config, stored.state.map);
-    let optimized = on_a_thread(move || slam::optimize(&config, map, &watched)).await?;
+    let optimized = on_a_thread(cores, move || slam::optimize(&config, map, &watched)).await?;
     let Some(optimized) = optimized.filter(|_| !work.is_cancelled()) else { return Ok(None) };
     let update = &optimized.update;
     if !update.changes.is_empty() {
@@ -108,7 +108,7 @@ pub async fn join(
     into: &LoadContext<'_>,
     from: &LoadContext<'_>,
     events: Events,
-    work: Arc<Work>,
+    (work, cores): (Arc<Work>, &Cores),
 ) -> Result<Option<Joined>, ApiError> {
     let (stored, other) = (load::read(into).await?, load::read(from).await?);
     check_cameras(&stored, &other)?;
@@ -117,7 +117,7 @@ pub async fn join(
     let frames: Vec<FrameEntry> = from.store.frames(from.id.as_str()).await?.try_collect().await?;
     let last_frame = stored.last_frame();
     let watched = work.clone();
-    let merged = on_a_thread(move || {
+    let merged = on_a_thread(cores, move || {
         let frames = placed(frames, &other.state.map);
         let recordings = Recordings { last_frame, from: frames };
         slam::merge(&stored.config, (stored.state.map, other.state.map), recordings, &watched)
@@ -188,8 +188,14 @@ fn check_clocks(into: &StoredSession, from: &StoredSession) -> Result<(), ApiErr
 }
 
 async fn on_a_thread<T: Send + 'static>(
+    cores: &Cores,
     work: impl FnOnce() -> Result<T, MapError> + Send + 'static,
 ) -> Result<T, ApiError> {
+    let cores = cores.clone();
+    let work = move || {
+        let _joined = cores.join();
+        work()
+    };
     let done = tokio::task::spawn_blocking(work).await.map_err(ApiError::internal)?;
     done.map_err(|error| {
         tracing::error!(error = %error, "a stored map cannot be worked on: {error}");

@@ -102,6 +102,8 @@ pub struct WorkerConfig {
     pub leaps: Leaps,
     /// What images are accepted.
     pub decode_limits: DecodeLimits,
+    /// Frames of a REALTIME stream that waited longer are dropped, if newer ones wait.
+    pub realtime_max_wait: Duration,
     /// Keep the images of keyframes.
     pub keep_images: bool,
     /// Time without a stream after which the session ends.
@@ -276,14 +278,21 @@ impl Worker {
 
     fn handle(&mut self, stream: &Stream, item: Decoded) -> Result<(), ClientGone> {
         let reply = match item {
-            Decoded::Frame { frame, brightest, sent, arrived } => self.track(frame, brightest, sent, arrived),
-            Decoded::Dropped(sequence) => {
-                metrics::counter!("monoslam_frames_total", "outcome" => "dropped").increment(1);
-                Reply::Dropped(sequence)
+            Decoded::Frame { frame, arrived, .. } if self.is_stale(stream, arrived) => {
+                dropped(frame.sequence)
             }
+            Decoded::Frame { frame, brightest, sent, arrived } => self.track(frame, brightest, sent, arrived),
+            Decoded::Dropped(sequence) => dropped(sequence),
             Decoded::Rejected(rejection) => rejected(rejection),
         };
         self.send(stream, Ok(reply))
+    }
+
+    /// Whether a frame shows what was, while what is waits.
+    fn is_stale(&self, stream: &Stream, arrived: Instant) -> bool {
+        stream.policy == Policy::Realtime
+            && arrived.elapsed() > self.config.realtime_max_wait
+            && stream.queue.n_frames() > 0
     }
 
     fn track(&mut self, frame: slam::Frame, brightest: u8, sent: SentImage, arrived: Instant) -> Reply {
@@ -406,6 +415,11 @@ impl Drop for AbortOnDrop<'_> {
     fn drop(&mut self) {
         self.0.abort(Ok(()));
     }
+}
+
+fn dropped(sequence: u64) -> Reply {
+    metrics::counter!("monoslam_frames_total", "outcome" => "dropped").increment(1);
+    Reply::Dropped(sequence)
 }
 
 fn rejected(rejection: Rejection) -> Reply {

@@ -165,3 +165,80 @@ fn a_folder_that_cannot_be_written_keeps_the_server_from_starting_and_says_why()
     assert!(!output.status.success());
     assert!(said.contains("cannot make the folder") && said.contains(&*data.to_string_lossy()), "{said}");
 }
+
+/// The user that owns nothing, as which the server runs where the tests may do everything.
+const NOBODY: u32 = 65_534;
+
+/// Runs a command without the right to write everywhere.
+fn without_rights(command: &mut std::process::Command) {
+    use std::os::unix::process::CommandExt;
+    if is_root() {
+        command.uid(NOBODY).gid(NOBODY);
+    }
+}
+
+fn is_root() -> bool {
+    // SAFETY: asks for a number.
+    unsafe { libc::geteuid() == 0 }
+}
+
+fn set_mode(path: &std::path::Path, mode: u32) {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).unwrap();
+}
+
+/// Has a folder and its files be read only, or not any more.
+fn set_writable(folder: &std::path::Path, is_writable: bool) {
+    let (of_folder, of_files) = if is_writable { (0o755, 0o644) } else { (0o555, 0o444) };
+    for entry in std::fs::read_dir(folder).unwrap() {
+        set_mode(&entry.unwrap().path(), of_files);
+    }
+    set_mode(folder, of_folder);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_folder_that_becomes_read_only_loses_nothing_and_is_told_at_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    set_mode(folder.path(), 0o755);
+    let data = folder.path().join("data");
+    std::fs::create_dir(&data).unwrap();
+    if is_root() {
+        std::os::unix::fs::chown(&data, Some(NOBODY), Some(NOBODY)).unwrap();
+    }
+    let server = ServerProcess::start_with(&data, without_rights);
+    let mut client = server.client().await;
+    create_session(&mut client, "s", camera(160, 120)).await.unwrap();
+    set_writable(&data, false);
+    // The files are open: what comes is saved, or refused in so many words, and never promised in vain.
+    let image = raw_gray(160, 120, &[100; 160 * 120]);
+    let mut stream = FrameStream::open(&mut client, open_message("s")).await.unwrap();
+    let mut promised = 0;
+    for sequence in 0..20 {
+        stream.send(Request::Frame(tests::frame(sequence, image.clone()))).await;
+        match stream.next().await {
+            Ok(Some(Response::Result(result))) => {
+                promised = promised.max(result.durable_sequence.map_or(0, |durable| durable + 1));
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+    if stream.finish().await.is_ok() {
+        promised = 20;
+    }
+    server.kill();
+
+    let mut command = std::process::Command::new("timeout");
+    command.args(["20", crate::program::SERVER, "--grpc-addr", "127.0.0.1:0", "--http-addr", "127.0.0.1:0"]);
+    without_rights(command.arg("--data-dir").arg(&data));
+    let output = command.output().unwrap();
+    let said = crate::program::said(&output);
+    assert!(!output.status.success() && said.contains(&*data.to_string_lossy()), "{said}");
+
+    set_writable(&data, true);
+    let server = ServerProcess::start_with(&data, without_rights);
+    let mut client = server.client().await;
+    let request = v1::GetSessionRequest { session_id: "s".into() };
+    let session = client.get_session(request).await.unwrap().into_inner();
+    assert!(session.n_frames >= promised, "{} frames of {promised} that were promised", session.n_frames);
+    assert!(server.terminate());
+}

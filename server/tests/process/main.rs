@@ -3,6 +3,9 @@
 mod backup;
 mod crash;
 mod faults;
+mod idle;
+mod load;
+mod manager;
 mod memory;
 mod program;
 mod reload;

@@ -8,6 +8,7 @@ use hyper_util::rt::{TokioExecutor, TokioIo};
 use proto::v1;
 use std::net::SocketAddr;
 use std::time::Duration;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 
@@ -97,5 +98,71 @@ async fn unfinished_messages_take_what_they_may_and_the_rest_is_refused() {
         let ended = answering.await.unwrap();
         assert!(ended.starts_with("8 ") && ended.contains("as%20many%20as%20it%20may"), "{ended}");
     }
+    assert!(server.terminate());
+}
+
+/// Opens a WebSocket and begins a message on it, in the raw. What the server answered to the handshake.
+async fn begin_over_web_socket(http_addr: SocketAddr, id: &str) -> (tokio::net::TcpStream, String) {
+    let mut socket = tokio::net::TcpStream::connect(http_addr).await.unwrap();
+    let request = format!(
+        "GET /v1/sessions/{id}/stream HTTP/1.1\r\nhost: {http_addr}\r\nconnection: upgrade\r\nupgrade: websocket\r\n\
+         sec-websocket-version: 13\r\nsec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+    );
+    socket.write_all(request.as_bytes()).await.unwrap();
+    let mut answer = [0; 1000];
+    let n_bytes = socket.read(&mut answer).await.unwrap();
+    // Binary, whole, masked by zeros, with a length of 64 bits [RFC 6455, 5.2].
+    let mut head = vec![0x82, 0x80 | 127];
+    head.extend((MESSAGE_BYTES as u64).to_be_bytes());
+    head.extend([0; 4]);
+    socket.write_all(&head).await.unwrap();
+    (socket, String::from_utf8_lossy(&answer[..n_bytes]).into_owned())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn unfinished_messages_over_web_sockets_take_no_more_either() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = ServerProcess::start(folder.path());
+    let mut client = server.client().await;
+    for i in 0..N_MESSAGES {
+        tests::create_session(&mut client, &format!("s{i}"), tests::camera(320, 240)).await.unwrap();
+    }
+    let before = server.resident_bytes();
+    let mut sending = Vec::new();
+    for i in 0..N_MESSAGES {
+        let (mut socket, answer) = begin_over_web_socket(server.http_addr, &format!("s{i}")).await;
+        assert!(answer.starts_with("HTTP/1.1 101"), "{answer}");
+        sending.push(tokio::spawn(async move {
+            let chunk = vec![0; 64 << 10];
+            for _ in 0..SENT_BYTES >> 16 {
+                if socket.write_all(&chunk).await.is_err() {
+                    break;
+                }
+            }
+            // What the server says last, if it does.
+            let mut said = Vec::new();
+            let _ = tokio::time::timeout(Duration::from_secs(12), socket.read_to_end(&mut said)).await;
+            String::from_utf8_lossy(&said).into_owned()
+        }));
+    }
+    let mut most = before;
+    for _ in 0..100 {
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        most = most.max(server.resident_bytes());
+    }
+    let grown = most - before;
+    eprintln!(
+        "{} MB more with {N_MESSAGES} messages over WebSockets of {} MB begun",
+        grown >> 20,
+        MESSAGE_BYTES >> 20
+    );
+    // Messages grow by doubling, so that what was read is in memory once and a half.
+    assert!(grown < BUDGET_BYTES * 2 + OTHER_BYTES, "{} MB more", grown >> 20);
+    client.list_sessions(v1::ListSessionsRequest::default()).await.unwrap();
+    let mut n_refused = 0;
+    for sending in sending {
+        n_refused += usize::from(sending.await.unwrap().contains("as many as it may"));
+    }
+    assert!(n_refused >= 1, "nobody was told why");
     assert!(server.terminate());
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use tests::Client;
 
-const SERVER: &str = env!("CARGO_BIN_EXE_monoslam-server");
+pub const SERVER: &str = env!("CARGO_BIN_EXE_monoslam-server");
 
 /// A server in a process of its own.
 pub struct ServerProcess {

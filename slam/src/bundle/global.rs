@@ -5,6 +5,7 @@ use super::adjustment::{Adjusted, Adjustment, Scope};
 use super::calibration::Estimate;
 use super::stage_two::StageTwo;
 use crate::config::SlamConfig;
+use crate::cores;
 use crate::landmarks::{Anchoring, apply_corrections};
 use crate::map::{Keyframe, KeyframeId, Map, SubmapId};
 use crate::work::Stretch;
@@ -44,7 +45,10 @@ pub(crate) fn adjust(
     abort: &AtomicBool,
 ) -> Option<GlobalResult> {
     let mut adjustment = problem_of(map, submap, config)?;
-    solve(&mut adjustment, submap, config, || abort.load(Ordering::Relaxed));
+    solve(&mut adjustment, submap, config, || {
+        cores::let_others();
+        abort.load(Ordering::Relaxed)
+    });
     let adjusted = adjustment.result();
     let fixed = oldest(map, submap);
     (!abort.load(Ordering::Relaxed)).then_some(GlobalResult { submap, fixed, adjusted, correction: None })

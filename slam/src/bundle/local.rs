@@ -3,6 +3,7 @@
 use super::adjustment::{Adjustment, Scope};
 use super::stage_two::StageTwo;
 use crate::config::{MappingConfig, SlamConfig};
+use crate::cores;
 use crate::map::{Keyframe, KeyframeId, LineId, Map, PointId};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,7 +17,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// allows.
 pub(crate) fn optimize(map: &mut Map, center: KeyframeId, config: &SlamConfig, abort: &AtomicBool) {
     let Some(scope) = scope_around(map, center, &config.mapping) else { return };
-    let aborted = || abort.load(Ordering::Relaxed);
+    let aborted = || {
+        cores::let_others();
+        abort.load(Ordering::Relaxed)
+    };
     let mut adjustment = tracing::debug_span!("stage one").in_scope(|| {
         let mut adjustment = Adjustment::of(map, &scope);
         if config.features.global_primitives {

@@ -2,6 +2,7 @@
 
 use super::lines::LineFrontEnd;
 use crate::clock::{Clock, Stopwatch};
+use crate::cores;
 use crate::features::LineFeature;
 use geometry::Camera;
 use geometry::nalgebra::UnitQuaternion;
@@ -103,8 +104,12 @@ impl LineStage {
             }
             Self::Background(thread) => {
                 let clock = stopwatch.clock().clone();
-                thread.send(Job::Extract { image: image.clone(), now_from_last, clock });
+                let job = Job::Extract { image: image.clone(), now_from_last, clock };
+                // Where others wait for a core, this frame takes one and not two.
+                let (before, after) = if cores::are_wanted() { (None, Some(job)) } else { (Some(job), None) };
+                before.into_iter().for_each(|job| thread.send(job));
                 let result = stopwatch.time(name, meanwhile);
+                after.into_iter().for_each(|job| thread.send(job));
                 let (extracted, wall_ns) = thread.receive();
                 stopwatch.add(STAGE, wall_ns);
                 stopwatch.restart_lap();

@@ -6,6 +6,7 @@
 
 use super::optimize::adjust_submaps;
 use crate::config::SlamConfig;
+use crate::cores;
 use crate::loops::{LoopCloser, Recognition};
 use crate::map::{
     FramePose, FrameRecord, FrameState, Imported, KeyframeId, Map, MapError, MapParts, MapUpdate, SubmapId,
@@ -87,6 +88,15 @@ pub struct Recordings {
 /// # Errors
 /// If a map is inconsistent, or numbers of frames would grow out of range.
 pub fn merge(
+    config: &SlamConfig,
+    (into, from): (MapParts, MapParts),
+    recordings: Recordings,
+    work: &Work,
+) -> Result<Option<Merged>, MapError> {
+    cores::with_turn(|| merge_in_turn(config, (into, from), recordings, work))
+}
+
+fn merge_in_turn(
     config: &SlamConfig,
     (into, from): (MapParts, MapParts),
     recordings: Recordings,

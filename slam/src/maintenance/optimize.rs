@@ -2,6 +2,7 @@
 
 use crate::bundle::global::{Costs, adjust_watched};
 use crate::config::SlamConfig;
+use crate::cores;
 use crate::map::{Map, MapError, MapParts, MapUpdate, SubmapId};
 use crate::work::{Stretch, Work};
 use std::sync::Arc;
@@ -23,6 +24,10 @@ pub struct Optimized {
 /// # Errors
 /// If the map is inconsistent.
 pub fn optimize(config: &SlamConfig, map: MapParts, work: &Work) -> Result<Option<Optimized>, MapError> {
+    cores::with_turn(|| optimize_in_turn(config, map, work))
+}
+
+fn optimize_in_turn(config: &SlamConfig, map: MapParts, work: &Work) -> Result<Option<Optimized>, MapError> {
     let mut map = Map::from_parts(map)?;
     let Some(costs) = adjust_submaps(&mut map, None, config, &work.whole()) else { return Ok(None) };
     map.check()?;

@@ -3,6 +3,7 @@
 use super::intrinsics::{IntrinsicsCheck, Look, Memory};
 use crate::bundle::global::{GlobalResult, adjust};
 use crate::config::{SlamConfig, Threading};
+use crate::cores::{self, Share};
 use crate::map::{Map, SubmapId};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -59,7 +60,11 @@ impl GlobalStage {
             return task.run(map, submap, config, &abort);
         }
         let (snapshot, config, aborted) = (map.clone(), config.clone(), abort.clone());
-        let run = move || task.run(&snapshot, submap, &config, &aborted);
+        let share = Share::of_this_thread();
+        let run = move || {
+            let _joined = share.map(Share::enter);
+            cores::with_turn(|| task.run(&snapshot, submap, &config, &aborted))
+        };
         // Without a thread the map stays as good as the essential graph has made it.
         let spawned = std::thread::Builder::new().name("slam-global-ba".into()).spawn(run);
         self.under_way = spawned.ok().map(|thread| UnderWay { task, abort, thread });
@@ -91,7 +96,9 @@ impl GlobalStage {
             return None;
         }
         // A panic there is a defect, and costs this correction only.
-        self.under_way.take()?.thread.join().ok().flatten()
+        let thread = self.under_way.take()?.thread;
+        let joined = if thread.is_finished() { thread.join() } else { cores::wait(|| thread.join()) };
+        joined.ok().flatten()
     }
 }
 

@@ -5,6 +5,7 @@ use crate::bundle::calibration::{Calibration, Estimate, Knowledge};
 use crate::bundle::global::{GlobalResult, adjust_to_camera};
 use crate::bundle::held_out::hold_out;
 use crate::config::{CalibrationConfig, CalibrationTrust, SlamConfig};
+use crate::cores;
 use crate::features::FrameFeatures;
 use crate::map::{Map, SubmapId};
 use crate::report::MapEvent;
@@ -131,6 +132,12 @@ pub(super) struct Look<'a> {
 }
 
 impl Look<'_> {
+    /// Asked again and again in the middle of the work.
+    fn is_aborted(&self) -> bool {
+        cores::let_others();
+        self.abort.load(Ordering::Relaxed)
+    }
+
     /// Looks at the camera and, if it is another than was thought, adjusts the submap to it. `None` if
     /// `abort` was set meanwhile.
     pub fn check(&self, before: Memory) -> Option<IntrinsicsCheck> {
@@ -239,7 +246,7 @@ impl Look<'_> {
     /// Whether keyframes that it was not fitted to speak for a camera as well: fitted to the others alone it
     /// is much the same, and explains them better than the present one. `None` if `abort` was set meanwhile.
     fn holds_elsewhere(&self, correction: &CameraCorrection) -> Option<bool> {
-        let aborted = || self.abort.load(Ordering::Relaxed);
+        let aborted = || self.is_aborted();
         let config = &self.config.calibration;
         let held_out = hold_out(self.map, self.submap, config, aborted);
         if aborted() {
@@ -252,7 +259,7 @@ impl Look<'_> {
     }
 
     fn estimate(&self, knowledge: Knowledge, search: bool) -> Option<Estimate> {
-        let aborted = || self.abort.load(Ordering::Relaxed);
+        let aborted = || self.is_aborted();
         let calibration = Calibration::of(self.map, self.submap, knowledge, &self.config.calibration);
         let estimate = calibration.estimate(search, aborted)?;
         let Estimate { correction, sigmas, inflation, gain, .. } = &estimate;

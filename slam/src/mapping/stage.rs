@@ -3,13 +3,15 @@
 //! Either way requests are carried out in order, and tracking sees the result as immutable snapshots.
 
 use super::{InitialMap, Mapper, NewKeyframe};
+use crate::cores::{self, Share};
 use crate::map::{FrameRecord, Map, MapUpdate, SubmapId};
 use crate::report::{LineJudgement, MapEvent};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 /// Keyframes that may wait for mapping. When it is full a lossless session waits, a real-time one makes no
 /// keyframe.
@@ -18,6 +20,8 @@ const QUEUE_LENGTH: usize = 1;
 const MAX_WAITING_UPDATES: usize = 16;
 /// Judgements of lines that may wait to be fetched; beyond it the oldest go: they are for statistics only.
 const MAX_WAITING_JUDGEMENTS: usize = 4096;
+/// Mapping that has nothing to do answers at once: who waits longer lets others work meanwhile.
+const AT_ONCE: Duration = Duration::from_millis(1);
 
 /// Mapping as the pipeline sees it.
 pub(crate) enum MappingStage {
@@ -67,8 +71,11 @@ impl MappingStage {
         let (n_pending, abort) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
         let worker =
             Worker { mapper, n_pending: n_pending.clone(), abort: abort.clone(), shared: shared.clone() };
-        let thread =
-            std::thread::Builder::new().name("slam-mapping".into()).spawn(move || worker.run(incoming))?;
+        let share = Share::of_this_thread();
+        let thread = std::thread::Builder::new().name("slam-mapping".into()).spawn(move || {
+            let _joined = share.map(Share::enter);
+            worker.run(incoming);
+        })?;
         Ok(Self::Background(Background {
             requests: Some(requests),
             n_pending,
@@ -142,7 +149,9 @@ impl MappingStage {
         if let Self::Background(background) = self {
             let (done, wait) = sync_channel(1);
             background.send(Request::Barrier(done));
-            let _ = wait.recv();
+            if let Err(RecvTimeoutError::Timeout) = wait.recv_timeout(AT_ONCE) {
+                let _ = cores::wait(|| wait.recv());
+            }
         }
     }
 
@@ -164,7 +173,10 @@ impl MappingStage {
 impl Background {
     fn send(&self, request: Request) {
         self.n_pending.fetch_add(1, Ordering::AcqRel);
-        let sent = self.requests.as_ref().is_some_and(|requests| requests.send(request).is_ok());
+        let sent = self.requests.as_ref().is_some_and(|requests| match requests.try_send(request) {
+            Err(TrySendError::Full(request)) => cores::wait(|| requests.send(request).is_ok()),
+            sent => sent.is_ok(),
+        });
         // The thread ends early only by a panic of its own, which is a defect: it must not pass unnoticed.
         assert!(sent, "the mapping thread has ended by a panic");
     }
@@ -191,7 +203,12 @@ impl Worker {
     fn run(mut self, incoming: Receiver<Request>) {
         for request in incoming {
             self.abort.store(false, Ordering::Relaxed);
-            self.shared.carry_out(&mut self.mapper, request, &self.abort);
+            let Self { mapper, abort, shared, .. } = &mut self;
+            match request {
+                // Nothing to work on, and somebody waits.
+                Request::Barrier(_) => shared.carry_out(mapper, request, abort),
+                request => cores::with_turn(|| shared.carry_out(mapper, request, abort)),
+            }
             self.n_pending.fetch_sub(1, Ordering::AcqRel);
         }
     }

@@ -6,4 +6,6 @@ mod row;
 
 pub use query::{Bounds, PointQuery};
 pub(crate) use query::{push_cell_keys, region, select_points};
-pub(crate) use row::{POINT_COLUMNS, PointRow, parse_point};
+pub use row::PlacedPoint;
+use row::{Form, PLACED};
+pub(crate) use row::{POINT_COLUMNS, PointRow, WHOLE, parse_point};

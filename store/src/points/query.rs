@@ -1,7 +1,7 @@
 //! Which points are where: pages and streams, found through the R*Tree.
 
 use super::cell::{MAX_POINT_ID, cell_key, point_of_key};
-use super::{POINT_COLUMNS, parse_point};
+use super::{Form, PLACED, PlacedPoint, WHOLE};
 use crate::session::session_number;
 use crate::{Page, Store, StoreError};
 use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
@@ -111,11 +111,36 @@ impl Store {
         after: Option<PointId>,
         page_size: u32,
     ) -> Result<Page<PointLandmark, PointId>, StoreError> {
+        self.page_of(&WHOLE, session, query, after, page_size).await
+    }
+
+    /// As [`Self::points_page`], where they are alone.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn placed_points_page(
+        &self,
+        session: &str,
+        query: &PointQuery,
+        after: Option<PointId>,
+        page_size: u32,
+    ) -> Result<Page<PlacedPoint, PointId>, StoreError> {
+        self.page_of(&PLACED, session, query, after, page_size).await
+    }
+
+    async fn page_of<T>(
+        &self,
+        form: &'static Form<T>,
+        session: &str,
+        query: &PointQuery,
+        after: Option<PointId>,
+        page_size: u32,
+    ) -> Result<Page<T, PointId>, StoreError> {
         let mut reader = self.reader().await?;
         let number = session_number(&mut reader, session).await?;
         let after = after.map_or(0, |id| id.get().min(MAX_POINT_ID) as i64);
-        let points = select_points(&mut reader, number, query, after, page_size as usize + 1).await?;
-        Ok(Page::of(points, page_size, |last| last.id))
+        let points = select_points(&mut reader, form, number, query, after, page_size as usize + 1).await?;
+        Ok(Page::of(points, page_size, form.id))
     }
 
     /// Those of the given points that there are, in the order of their ids. Reads as the stream goes on.
@@ -129,7 +154,7 @@ impl Store {
     ) -> Result<BoxStream<'static, Result<PointLandmark, StoreError>>, StoreError> {
         let number = session_number(&mut *self.reader().await?, session).await?;
         let ids: Vec<i64> = ids.iter().map(|id| id.get().min(MAX_POINT_ID) as i64).collect();
-        Ok(Cursor::of(self.clone(), number, PointQuery::default(), Some(ids.into_iter())).stream())
+        Ok(Cursor::of(self.clone(), &WHOLE, number, PointQuery::default(), Some(ids.into_iter())).stream())
     }
 
     /// Every wanted point in the order of their ids.
@@ -144,6 +169,27 @@ impl Store {
         session: &str,
         query: PointQuery,
     ) -> Result<BoxStream<'static, Result<PointLandmark, StoreError>>, StoreError> {
+        self.stream_of(&WHOLE, session, query).await
+    }
+
+    /// As [`Self::points`], where they are alone.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`], before the stream begins.
+    pub async fn placed_points(
+        &self,
+        session: &str,
+        query: PointQuery,
+    ) -> Result<BoxStream<'static, Result<PlacedPoint, StoreError>>, StoreError> {
+        self.stream_of(&PLACED, session, query).await
+    }
+
+    async fn stream_of<T: Send + 'static>(
+        &self,
+        form: &'static Form<T>,
+        session: &str,
+        query: PointQuery,
+    ) -> Result<BoxStream<'static, Result<T, StoreError>>, StoreError> {
         let mut reader = self.reader().await?;
         let number = session_number(&mut reader, session).await?;
         let candidates = match query.region() {
@@ -151,13 +197,14 @@ impl Store {
             None => None,
         };
         drop(reader);
-        Ok(Cursor::of(self.clone(), number, query, candidates).stream())
+        Ok(Cursor::of(self.clone(), form, number, query, candidates).stream())
     }
 }
 
 /// How far a stream of points has been read.
-struct Cursor {
+struct Cursor<T: 'static> {
     store: Store,
+    form: &'static Form<T>,
     session: i64,
     query: PointQuery,
     /// Last id read, where there are no candidates.
@@ -166,18 +213,19 @@ struct Cursor {
     candidates: Option<std::vec::IntoIter<i64>>,
 }
 
-impl Cursor {
+impl<T: Send + 'static> Cursor<T> {
     /// Before the first point.
     fn of(
         store: Store,
+        form: &'static Form<T>,
         session: i64,
         query: PointQuery,
         candidates: Option<std::vec::IntoIter<i64>>,
     ) -> Self {
-        Self { store, session, query, after: 0, candidates }
+        Self { store, form, session, query, after: 0, candidates }
     }
 
-    fn stream(self) -> BoxStream<'static, Result<PointLandmark, StoreError>> {
+    fn stream(self) -> BoxStream<'static, Result<T, StoreError>> {
         let steps = stream::try_unfold(self, |mut cursor| async move {
             let step = cursor.step().await?;
             Ok::<_, StoreError>(step.map(|points| (stream::iter(points).map(Ok::<_, StoreError>), cursor)))
@@ -186,7 +234,7 @@ impl Cursor {
     }
 
     /// The next points, possibly none of those looked at; `None` at the end.
-    async fn step(&mut self) -> Result<Option<Vec<PointLandmark>>, StoreError> {
+    async fn step(&mut self) -> Result<Option<Vec<T>>, StoreError> {
         let mut reader = self.store.reader().await?;
         match &mut self.candidates {
             Some(candidates) => {
@@ -194,34 +242,36 @@ impl Cursor {
                 if ids.is_empty() {
                     return Ok(None);
                 }
-                select_points_of(&mut reader, self.session, &self.query, &ids).await.map(Some)
+                select_points_of(&mut reader, self.form, self.session, &self.query, &ids).await.map(Some)
             }
             None => {
                 let query = self.query;
                 let points =
-                    select_points(&mut reader, self.session, &query, self.after, POINTS_PER_STEP).await?;
+                    select_points(&mut reader, self.form, self.session, &query, self.after, POINTS_PER_STEP)
+                        .await?;
                 let Some(last) = points.last() else { return Ok(None) };
-                self.after = last.id.get() as i64;
+                self.after = (self.form.id)(last).get() as i64;
                 Ok(Some(points))
             }
         }
     }
 }
 
-fn select_from_points(session: i64) -> QueryBuilder<Sqlite> {
+fn select_from_points(columns: &str, session: i64) -> QueryBuilder<Sqlite> {
     let mut sql = QueryBuilder::new("SELECT ");
-    sql.push(POINT_COLUMNS).push(" FROM points WHERE session = ").push_bind(session);
+    sql.push(columns).push(" FROM points WHERE session = ").push_bind(session);
     sql
 }
 
-pub(crate) async fn select_points(
+pub(crate) async fn select_points<T>(
     connection: &mut SqliteConnection,
+    form: &Form<T>,
     session: i64,
     query: &PointQuery,
     after: i64,
     limit: usize,
-) -> Result<Vec<PointLandmark>, StoreError> {
-    let mut sql = select_from_points(session);
+) -> Result<Vec<T>, StoreError> {
+    let mut sql = select_from_points(form.columns, session);
     sql.push(" AND id > ").push_bind(after);
     if let Some(region) = query.region() {
         sql.push(" AND id IN (SELECT key & ").push_bind(MAX_POINT_ID as i64).push(" FROM (");
@@ -230,21 +280,22 @@ pub(crate) async fn select_points(
     }
     query.push_conditions(&mut sql);
     sql.push(" ORDER BY id LIMIT ").push_bind(limit as i64);
-    parse_points(&sql.build().fetch_all(connection).await?)
+    parse_points(form, &sql.build().fetch_all(connection).await?)
 }
 
-async fn select_points_of(
+async fn select_points_of<T>(
     connection: &mut SqliteConnection,
+    form: &Form<T>,
     session: i64,
     query: &PointQuery,
     ids: &[i64],
-) -> Result<Vec<PointLandmark>, StoreError> {
-    let mut sql = select_from_points(session);
+) -> Result<Vec<T>, StoreError> {
+    let mut sql = select_from_points(form.columns, session);
     let list = crate::save::id_list(ids.iter().map(|id| *id as u64));
     sql.push(" AND id IN (SELECT value FROM json_each(").push_bind(list).push("))");
     query.push_conditions(&mut sql);
     sql.push(" ORDER BY id");
-    parse_points(&sql.build().fetch_all(connection).await?)
+    parse_points(form, &sql.build().fetch_all(connection).await?)
 }
 
 /// Ids, in order, of the points whose cells meet a box.
@@ -262,6 +313,6 @@ async fn select_candidates(
     Ok(ids)
 }
 
-fn parse_points(rows: &[SqliteRow]) -> Result<Vec<PointLandmark>, StoreError> {
-    rows.iter().map(parse_point).collect()
+fn parse_points<T>(form: &Form<T>, rows: &[SqliteRow]) -> Result<Vec<T>, StoreError> {
+    rows.iter().map(form.parse).collect()
 }

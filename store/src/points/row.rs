@@ -5,9 +5,40 @@ use crate::StoreError;
 use crate::blob::{decode_descriptor, decode_observations, encode_descriptor, encode_observations};
 use crate::number::{from_column_u32, keyframe_column, keyframe_id, point_id, submap_id};
 use nalgebra::Vector3;
-use slam::map::PointLandmark;
+use slam::map::{PointId, PointLandmark, SubmapId};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
+
+/// Where a point is, without what recognizing it takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlacedPoint {
+    /// Identity within the session.
+    pub id: PointId,
+    /// The submap whose frame of reference the position is in.
+    pub submap: SubmapId,
+    /// Position in the world, map units.
+    pub position: Vector3<f64>,
+    /// Keyframes that see it.
+    pub n_observations: u32,
+}
+
+/// How much of a point is read: columns cost more than rows.
+pub(crate) struct Form<T> {
+    /// After the session.
+    pub columns: &'static str,
+    /// From these columns.
+    pub parse: fn(&SqliteRow) -> Result<T, StoreError>,
+    /// Of what was parsed.
+    pub id: fn(&T) -> PointId,
+}
+
+/// All of it.
+pub(crate) const WHOLE: Form<PointLandmark> =
+    Form { columns: POINT_COLUMNS, parse: parse_point, id: |point| point.id };
+
+/// Where it is.
+pub(crate) const PLACED: Form<PlacedPoint> =
+    Form { columns: "id, submap, x, y, z, n_observations", parse: parse_placed, id: |point| point.id };
 
 /// The columns of a point after its session, in the order [`parse_point`] expects.
 pub(crate) const POINT_COLUMNS: &str = "id, submap, x, y, z, descriptor, view_x, view_y, view_z, min_distance, \
@@ -55,6 +86,15 @@ impl PointRow {
             n_observations: point.observations.len() as i64,
         })
     }
+}
+
+fn parse_placed(row: &SqliteRow) -> Result<PlacedPoint, StoreError> {
+    Ok(PlacedPoint {
+        id: point_id(row.try_get(0)?)?,
+        submap: submap_id(row.try_get(1)?)?,
+        position: Vector3::new(row.try_get(2)?, row.try_get(3)?, row.try_get(4)?),
+        n_observations: from_column_u32("n_observations", row.try_get(5)?)?,
+    })
 }
 
 /// A point from [`POINT_COLUMNS`].

@@ -3,7 +3,7 @@ use futures_util::TryStreamExt;
 use nalgebra::Vector3;
 use slam::MapUpdate;
 use slam::map::{MapChanges, MapParts, PointId, PointLandmark, SubmapId};
-use store::{Bounds, KeyframeImage, PointQuery, Store};
+use store::{Bounds, KeyframeImage, PlacedPoint, PointQuery, Store};
 
 const LARGE: Size = Size { n_keyframes: 30, n_keypoints: 300, n_points: 1500 };
 
@@ -43,8 +43,19 @@ fn holds(query: &PointQuery, point: &PointLandmark) -> bool {
         && query.submap.is_none_or(|submap| point.submap == submap)
 }
 
+/// Whole points; where they are alone must be the same.
 async fn streamed(store: &Store, query: PointQuery) -> Vec<PointLandmark> {
-    store.points("s", query).await.unwrap().try_collect().await.unwrap()
+    let points: Vec<PointLandmark> = store.points("s", query).await.unwrap().try_collect().await.unwrap();
+    let placed: Vec<PlacedPoint> =
+        store.placed_points("s", query).await.unwrap().try_collect().await.unwrap();
+    let place = |point: &PointLandmark| PlacedPoint {
+        id: point.id,
+        submap: point.submap,
+        position: point.position,
+        n_observations: point.observations.len() as u32,
+    };
+    assert_eq!(placed, points.iter().map(place).collect::<Vec<_>>());
+    points
 }
 
 async fn paged(store: &Store, query: &PointQuery, page_size: u32) -> Vec<PointLandmark> {

@@ -54,46 +54,96 @@ fn camera() -> Camera {
     Camera::new(CameraParameters { model, width: WIDTH, height: HEIGHT, fx, fy, cx, cy, distortion }).unwrap()
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_panic_ends_the_session_with_a_clear_error_and_lets_nobody_wait() {
-    let clock = Arc::new(FragileClock::default());
-    let pipeline = Pipeline::new(SlamConfig::default(), camera(), clock.clone()).unwrap();
-    let (outbox, _saving) = writer::start(NoDisk, None, false, Duration::from_secs(1));
-    let folder = tempfile::tempdir().unwrap();
-    let store = store::Store::open(folder.path().join("maps"), store::StoreOptions::default()).await.unwrap();
-    let id = SessionId::parse("s", "id").unwrap();
-    let (streams, receiver) = mpsc::channel(1);
-    let history = crate::session::load::LoadContext { store: &store, id: &id }.history();
-    let persistence = Persistence { outbox, history, last_frame: None, ahead_ns: 0 };
-    let config = WorkerConfig {
-        leaps: Leaps::of(&crate::config::SessionConfig::default()),
-        decode_limits: DecodeLimits::default(),
-        keep_images: true,
-        idle_unload: Duration::from_secs(60),
-    };
-    let ends = Ends {
-        streams: receiver,
-        unload: CancellationToken::new(),
-        live: watch::channel(Live::default()).0,
-        scale: watch::channel(None).1,
-        events: Events::default(),
-    };
-    let worker = Worker::new(id, config, pipeline, persistence, ends, Handle::current());
-    let worker = std::thread::spawn(move || worker.run());
+/// A session's thread, and what it is given streams through.
+struct Session {
+    streams: mpsc::Sender<Stream>,
+    thread: std::thread::JoinHandle<()>,
+    _folder: tempfile::TempDir,
+}
 
-    let queue = Arc::new(FrameQueue::new(Policy::Lossless, 4));
-    let (replies, mut answers) = mpsc::channel(4);
-    let served = CancellationToken::new();
+impl Session {
+    async fn start(clock: Arc<FragileClock>) -> Self {
+        let pipeline = Pipeline::new(SlamConfig::default(), camera(), clock).unwrap();
+        let (outbox, _saving) = writer::start(NoDisk, None, false, Duration::from_secs(1));
+        let folder = tempfile::tempdir().unwrap();
+        let options = store::StoreOptions::default();
+        let store = store::Store::open(folder.path().join("maps"), options).await.unwrap();
+        let id = SessionId::parse("s", "id").unwrap();
+        let (streams, receiver) = mpsc::channel(1);
+        let history = crate::session::load::LoadContext { store: &store, id: &id }.history();
+        let persistence = Persistence { outbox, history, last_frame: None, ahead_ns: 0 };
+        let config = WorkerConfig {
+            leaps: Leaps::of(&crate::config::SessionConfig::default()),
+            decode_limits: DecodeLimits::default(),
+            realtime_max_wait: Duration::from_millis(500),
+            keep_images: true,
+            idle_unload: Duration::from_secs(60),
+        };
+        let ends = Ends {
+            streams: receiver,
+            unload: CancellationToken::new(),
+            live: watch::channel(Live::default()).0,
+            scale: watch::channel(None).1,
+            events: Events::default(),
+        };
+        let worker = Worker::new(id, config, pipeline, persistence, ends, Handle::current());
+        let thread = std::thread::spawn(move || worker.run());
+        Self { streams, thread, _folder: folder }
+    }
+}
+
+/// A stream of these frames, and where its answers come.
+fn stream(queue: &Arc<FrameQueue>) -> (Stream, mpsc::Receiver<Result<Reply, ApiError>>) {
+    let (replies, answers) = mpsc::channel(16);
     let stream = Stream {
         mode: Mode::MapAndLocalize,
-        policy: Policy::Lossless,
+        policy: queue.policy(),
         new_segment: false,
         queue: queue.clone(),
         replies,
         ending_soon: CancellationToken::new(),
-        served: served.clone(),
+        served: CancellationToken::new(),
     };
-    streams.send(stream).await.unwrap();
+    (stream, answers)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_of_long_ago_give_way_to_newer_ones_in_real_time() {
+    const N: u64 = 8;
+    let session = Session::start(Arc::default()).await;
+    let long_ago = Instant::now().checked_sub(Duration::from_secs(10)).expect("the machine runs longer");
+    for policy in [Policy::Realtime, Policy::Lossless] {
+        let queue = Arc::new(FrameQueue::new(policy, N as usize));
+        let first = if policy == Policy::Realtime { 0 } else { N };
+        for sequence in first..first + N {
+            let Queued::Frame(new) = frame(sequence) else { unreachable!("a frame is made") };
+            queue.push(Queued::Frame(SentFrame { arrived: long_ago, ..new })).await.unwrap();
+        }
+        queue.close(Ok(()));
+        let (stream, mut answers) = stream(&queue);
+        session.streams.send(stream).await.unwrap();
+        let (mut dropped, mut answered) = (Vec::new(), Vec::new());
+        while let Some(answer) = answers.recv().await {
+            match answer.unwrap() {
+                Reply::Dropped(sequence) => dropped.push(sequence),
+                Reply::Answered(answer) => answered.push(answer.report.sequence),
+                other => panic!("{other:?}"),
+            }
+        }
+        assert_eq!(answered.last(), Some(&(first + N - 1)), "the newest is answered");
+        assert_eq!(dropped.len() + answered.len(), N as usize);
+        assert_eq!(dropped.first(), (policy == Policy::Realtime).then_some(&0));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_panic_ends_the_session_with_a_clear_error_and_lets_nobody_wait() {
+    let clock = Arc::new(FragileClock::default());
+    let session = Session::start(clock.clone()).await;
+    let queue = Arc::new(FrameQueue::new(Policy::Lossless, 4));
+    let (stream, mut answers) = stream(&queue);
+    let served = stream.served.clone();
+    session.streams.send(stream).await.unwrap();
     queue.push(frame(0)).await.unwrap();
     assert!(matches!(answers.recv().await, Some(Ok(Reply::Answered(_)))));
     clock.0.store(true, Ordering::SeqCst);
@@ -102,6 +152,7 @@ async fn a_panic_ends_the_session_with_a_clear_error_and_lets_nobody_wait() {
     assert_eq!(error.code, ErrorCode::SessionFailed);
     assert!(answers.recv().await.is_none(), "the stream goes on after the session failed");
     assert!(served.is_cancelled() && queue.is_closed());
-    tokio::task::spawn_blocking(move || worker.join()).await.unwrap().expect("the panic was caught");
+    let Session { streams, thread, _folder } = session;
+    tokio::task::spawn_blocking(move || thread.join()).await.unwrap().expect("the panic was caught");
     assert!(streams.is_closed());
 }
