@@ -64,6 +64,7 @@ mod tests {
             "monoslam bench one two --runs 3 --ablation --json -o docs/results.md",
             "monoslam demo --keep --picture room.svg --report room.html",
             "monoslam bench one -o docs/results.md --section lossless --reports reports",
+            "monoslam calibrate board/*.jpg --board 9x6 --square 0.024 --model kannala-brandt -o calib.json --plot errors.svg",
             "monoslam export a --format colmap -o folder --server http://h:50051",
             "monoslam report a --truth truth.txt --summary stream.json --plots plots -o report.html",
             "monoslam export a --format mcap --submap 2",
@@ -113,6 +114,9 @@ mod tests {
             "monoslam scale a --distance 2 --from point:1",
             "monoslam localize",
             "monoslam bench",
+            "monoslam calibrate",
+            "monoslam calibrate board.mp4 --board 9",
+            "monoslam calibrate board.mp4 --board 9x1",
             "monoslam bench one --runs 0",
         ] {
             assert!(!accepted(line), "{line}");

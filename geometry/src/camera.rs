@@ -1,9 +1,9 @@
 //! Real cameras: a pinhole behind a lens, validated.
 
-use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
 use crate::camera_parameters::error;
-use crate::distortion::{Distortion, Fov, KannalaBrandt, Radtan};
+use crate::distortion::Distortion;
 use crate::{CameraCorrection, CameraError, CameraModel, CameraParameters, CorrectedPixels, Pinhole};
 
 /// Rays further than this from the optical axis are not undistorted: at 80 degrees one pixel of a fisheye
@@ -19,6 +19,17 @@ const AREA_SAMPLES: u32 = 64;
 /// A distortion that leaves less of the image than this is a mistake, and not one that folds in the corners.
 const MIN_USABLE_SHARE: f64 = 0.5;
 
+/// Where a point is seen, and how that depends on the point and on the calibration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CalibrationDerivatives {
+    /// The pixel.
+    pub pixel: Vector2<f64>,
+    /// Its derivative by the point in the camera frame.
+    pub d_pixel_d_point: Matrix2x3<f64>,
+    /// Its derivatives by `fx fy cx cy` and the coefficients of the model, in their order.
+    pub d_pixel_d_parameters: Vec<Vector2<f64>>,
+}
+
 /// A camera whose calibration has been checked: every pixel of the image belongs to one ray at most, and most
 /// do to one. Those without are where the distortion folds back, and further than
 /// [`MAX_UNDISTORTED_ANGLE_DEG`] from the axis.
@@ -31,6 +42,8 @@ pub struct Camera {
     /// What the correction does to undistorted pixels.
     pixels: CorrectedPixels,
     distortion: Distortion,
+    /// Least and greatest coordinates of what of the image is used, if that is not all of it.
+    used: Option<[Vector2<f64>; 2]>,
 }
 
 impl Camera {
@@ -52,17 +65,40 @@ impl Camera {
         if self.distortion.field_limit() >= MAX_UNDISTORTED_ANGLE_DEG.to_radians() - 1e-9 {
             return 0.0;
         }
+        self.share_where(|pixel| self.unproject_nominal(pixel).is_none())
+    }
+
+    /// The share of the image further from the axis than [`MAX_UNDISTORTED_ANGLE_DEG`], which is not used,
+    /// where the lens sees so far.
+    pub fn share_beyond_reach(&self) -> f64 {
+        if self.distortion == Distortion::None
+            || self.distortion.field_limit() < MAX_UNDISTORTED_ANGLE_DEG.to_radians() - 1e-9
+        {
+            return 0.0;
+        }
+        self.share_where(|pixel| self.undistort_nominal(pixel).is_none())
+    }
+
+    /// The share of the image's pixels that are so.
+    fn share_where(&self, is_so: impl Fn(&Vector2<f64>) -> bool) -> f64 {
         let [step_x, step_y] =
             [self.width(), self.height()].map(|side| f64::from(side) / f64::from(AREA_SAMPLES));
         let at = |i: u32, step: f64| (f64::from(i) + 0.5) * step - 0.5;
         let pixels = (0..AREA_SAMPLES)
             .flat_map(|y| (0..AREA_SAMPLES).map(move |x| Vector2::new(at(x, step_x), at(y, step_y))));
-        let n_folded = pixels.filter(|pixel| self.unproject_nominal(pixel).is_none()).count();
-        n_folded as f64 / f64::from(AREA_SAMPLES * AREA_SAMPLES)
+        pixels.filter(|pixel| is_so(pixel)).count() as f64 / f64::from(AREA_SAMPLES * AREA_SAMPLES)
     }
 
     /// What is doubtful about the calibration without keeping it from being used, sentences for the user.
     pub fn warnings(&self) -> Vec<String> {
+        let beyond = self.share_beyond_reach();
+        if beyond > 0.0 {
+            return vec![format!(
+                "{:.1} % of the image lie more than {MAX_UNDISTORTED_ANGLE_DEG} degrees from the axis, as far as a lens is \
+                 followed, and are not used",
+                100.0 * beyond
+            )];
+        }
         let folded = self.folded_share();
         if folded == 0.0 {
             return Vec::new();
@@ -77,21 +113,20 @@ impl Camera {
         vec![sentence]
     }
 
+    /// A camera of numbers that are being looked for: finite, as many as the model has, but not checked
+    /// otherwise.
+    pub fn under_trial(parameters: CameraParameters) -> Self {
+        Self::unchecked(parameters)
+    }
+
     fn unchecked(parameters: CameraParameters) -> Self {
         let CameraParameters { fx, fy, cx, cy, .. } = parameters;
-        let d = &parameters.distortion;
-        let distortion = match parameters.model {
-            CameraModel::Pinhole => Distortion::None,
-            CameraModel::Radtan => Distortion::Radtan(Radtan::new(d, MAX_UNDISTORTED_ANGLE_DEG.to_radians())),
-            CameraModel::KannalaBrandt => {
-                Distortion::KannalaBrandt(KannalaBrandt::new([d[0], d[1], d[2], d[3]]))
-            }
-            CameraModel::Fov => Distortion::Fov(Fov::new(d[0])),
-        };
+        let max_angle = MAX_UNDISTORTED_ANGLE_DEG.to_radians();
+        let distortion = Distortion::new(parameters.model, &parameters.distortion, max_angle);
         let correction = CameraCorrection::default();
         let nominal = Pinhole { fx, fy, cx, cy };
         let pixels = CorrectedPixels::new(&nominal, &correction);
-        Self { nominal, correction, pixels, distortion, parameters }
+        Self { nominal, correction, pixels, distortion, parameters, used: None }
     }
 
     /// The calibration.
@@ -132,6 +167,14 @@ impl Camera {
         Self { correction, pixels, ..self.clone() }
     }
 
+    /// This camera where no more of its image is used than a box with these least and greatest coordinates;
+    /// all of it if `None`. Which pixels have rays stays; [`undistorted_bounds`](Self::undistorted_bounds)
+    /// are those of the box.
+    #[must_use]
+    pub fn with_used_box(&self, used: Option<[Vector2<f64>; 2]>) -> Self {
+        Self { used, ..self.clone() }
+    }
+
     /// The calibration with what was found put right. Exact for a calibration without lens distortion; else
     /// the same to first order, as the lens model is written in the nominal focal lengths, and radial
     /// distortion that a model other than `radtan` cannot take up is left out.
@@ -165,7 +208,7 @@ impl Camera {
         match self.parameters.model {
             CameraModel::Pinhole => false,
             CameraModel::Radtan => self.parameters.distortion.iter().any(|k| *k != 0.0),
-            CameraModel::KannalaBrandt | CameraModel::Fov => true,
+            _ => true,
         }
     }
 
@@ -214,6 +257,28 @@ impl Camera {
             jacobian[(1, column)] *= self.nominal.fy;
         }
         Some((self.nominal.denormalized(&p), jacobian * nominal_from_corrected * d_bent_d_point))
+    }
+
+    /// As [`project`](Self::project) of the calibration without its correction, with the derivatives of the
+    /// pixel by the point and by the calibration's numbers: `fx fy cx cy` and the coefficients.
+    pub fn project_for_calibration(&self, point_in_camera: &Vector3<f64>) -> Option<CalibrationDerivatives> {
+        let (seen, d_seen) = self.distortion.project_with_jacobian(point_in_camera)?;
+        let Pinhole { fx, fy, .. } = self.nominal;
+        let focals = Matrix2::new(fx, 0.0, 0.0, fy);
+        let mut d_parameters = vec![
+            Vector2::new(seen.x, 0.0),
+            Vector2::new(0.0, seen.y),
+            Vector2::new(1.0, 0.0),
+            Vector2::new(0.0, 1.0),
+        ];
+        let n_coefficients = self.parameters.distortion.len();
+        let by_coefficients = self.distortion.by_coefficients(point_in_camera, n_coefficients);
+        d_parameters.extend(by_coefficients.into_iter().map(|column| focals * column));
+        Some(CalibrationDerivatives {
+            pixel: self.nominal.denormalized(&seen),
+            d_pixel_d_point: focals * d_seen,
+            d_pixel_d_parameters: d_parameters,
+        })
     }
 
     /// The unit vector, in the camera frame, towards what is seen at `pixel`. `None` where the model has no
@@ -304,14 +369,20 @@ impl Camera {
         parameters.fy *= factor_y;
         parameters.cx = (parameters.cx + 0.5) * factor_x - 0.5;
         parameters.cy = (parameters.cy + 0.5) * factor_y - 0.5;
-        Self::unchecked(parameters).with_correction(self.correction)
+        let resized = |place: Vector2<f64>| {
+            let [x, y] = [(place.x, factor_x), (place.y, factor_y)].map(|(at, by)| (at + 0.5) * by - 0.5);
+            Vector2::new(x, y)
+        };
+        let used = self.used.map(|corners| corners.map(resized));
+        Self::unchecked(parameters).with_correction(self.correction).with_used_box(used)
     }
 
-    /// Pixels along the image's border, corners included.
+    /// Pixels along the border of the image, or of what of it is used, corners included.
     fn border(&self) -> impl Iterator<Item = Vector2<f64>> {
-        let (left, top) = (-0.5, -0.5);
-        let (right, bottom) =
-            (f64::from(self.parameters.width) - 0.5, f64::from(self.parameters.height) - 0.5);
+        let whole =
+            [Vector2::repeat(-0.5), Vector2::new(self.width().into(), self.height().into()).add_scalar(-0.5)];
+        let [low, high] = self.used.map_or(whole, |[low, high]| [low.sup(&whole[0]), high.inf(&whole[1])]);
+        let (left, top, right, bottom) = (low.x, low.y, high.x, high.y);
         (0..=BORDER_SAMPLES).flat_map(move |i| {
             let share = f64::from(i) / f64::from(BORDER_SAMPLES);
             let x = left + share * (right - left);

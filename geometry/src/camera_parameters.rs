@@ -25,9 +25,23 @@ pub enum CameraModel {
     KannalaBrandt,
     /// Field of view with one coefficient `ω`, in radians.
     Fov,
+    /// Extended unified model with two coefficients `α β`; with `β = 1` the unified model.
+    ExtendedUnified,
+    /// Double sphere with two coefficients `ξ α`.
+    DoubleSphere,
 }
 
 impl CameraModel {
+    /// All of them.
+    pub const ALL: [Self; 6] = [
+        Self::Pinhole,
+        Self::Radtan,
+        Self::KannalaBrandt,
+        Self::Fov,
+        Self::ExtendedUnified,
+        Self::DoubleSphere,
+    ];
+
     /// The name users write.
     pub fn name(self) -> &'static str {
         match self {
@@ -35,6 +49,8 @@ impl CameraModel {
             Self::Radtan => "radtan",
             Self::KannalaBrandt => "kannala-brandt",
             Self::Fov => "fov",
+            Self::ExtendedUnified => "eucm",
+            Self::DoubleSphere => "double-sphere",
         }
     }
 
@@ -45,6 +61,8 @@ impl CameraModel {
             Self::Radtan => "k1 k2 p1 p2 k3",
             Self::KannalaBrandt => "k1 k2 k3 k4",
             Self::Fov => "ω",
+            Self::ExtendedUnified => "α β",
+            Self::DoubleSphere => "ξ α",
         }
     }
 
@@ -55,6 +73,7 @@ impl CameraModel {
             Self::Radtan => &[4, 5, 8],
             Self::KannalaBrandt => &[4],
             Self::Fov => &[1],
+            Self::ExtendedUnified | Self::DoubleSphere => &[2],
         }
     }
 }
@@ -199,6 +218,26 @@ impl CameraParameters {
                     self.distortion[0]
                 ),
             ));
+        }
+        self.check_spheres()
+    }
+
+    /// What the coefficients of the models with spheres can be.
+    fn check_spheres(&self) -> Result<(), CameraError> {
+        let (alpha, other, name, least, most) = match self.model {
+            CameraModel::ExtendedUnified => (self.distortion[0], self.distortion[1], "β", 1e-3, 1e3),
+            CameraModel::DoubleSphere => (self.distortion[1], self.distortion[0], "ξ", -0.999, 1.0),
+            _ => return Ok(()),
+        };
+        let model = self.model.name();
+        if !(0.0..=1.0).contains(&alpha) {
+            let message = format!("α of the {model} model must be between 0 and 1, not {alpha}");
+            return Err(error("distortion", message));
+        }
+        if !(least..=most).contains(&other) {
+            let message =
+                format!("{name} of the {model} model must be between {least} and {most}, not {other}");
+            return Err(error("distortion", message));
         }
         Ok(())
     }

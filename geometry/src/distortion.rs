@@ -3,6 +3,9 @@
 
 use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 
+use crate::CameraModel;
+use crate::spheres::SphereLens;
+
 /// Rounds of Newton's method before a point counts as not invertible. From the starting points used here four
 /// to six reach rounding.
 const MAX_NEWTON_ROUNDS: usize = 30;
@@ -29,9 +32,38 @@ pub(crate) enum Distortion {
     Radtan(Radtan),
     KannalaBrandt(KannalaBrandt),
     Fov(Fov),
+    Sphere(SphereLens),
 }
 
 impl Distortion {
+    /// A model with checked coefficients. `max_angle` is the largest angle from the axis that will be asked
+    /// for.
+    pub(crate) fn new(model: CameraModel, coefficients: &[f64], max_angle: f64) -> Self {
+        let d = coefficients;
+        match model {
+            CameraModel::Pinhole => Self::None,
+            CameraModel::Radtan => Self::Radtan(Radtan::new(d, max_angle)),
+            CameraModel::KannalaBrandt => Self::KannalaBrandt(KannalaBrandt::new([d[0], d[1], d[2], d[3]])),
+            CameraModel::Fov => Self::Fov(Fov::new(d[0])),
+            CameraModel::ExtendedUnified => Self::Sphere(SphereLens::extended_unified(d)),
+            CameraModel::DoubleSphere => Self::Sphere(SphereLens::double_sphere(d)),
+        }
+    }
+
+    /// The derivatives of [`project`](Self::project) by the coefficients, in their order, at a point where it
+    /// is defined.
+    pub(crate) fn by_coefficients(&self, point: &Vector3<f64>, n_coefficients: usize) -> Vec<Vector2<f64>> {
+        (0..n_coefficients)
+            .map(|idx| match self {
+                Self::None => Vector2::zeros(),
+                Self::Radtan(model) => model.by_coefficient(&(point.xy() / point.z), idx),
+                Self::KannalaBrandt(_) => KannalaBrandt::by_coefficient(point, idx),
+                Self::Fov(model) => model.by_coefficient(&(point.xy() / point.z)),
+                Self::Sphere(lens) => lens.by_coefficient(point, idx),
+            })
+            .collect()
+    }
+
     /// The point of the distorted plane where `point` (camera frame) is seen. `None` outside the field where
     /// the model is one-to-one.
     #[inline]
@@ -44,6 +76,7 @@ impl Distortion {
             }
             Self::KannalaBrandt(model) => model.project(point),
             Self::Fov(model) => Some(model.distort(&on_plane(point)?)),
+            Self::Sphere(lens) => lens.project(point),
         }
     }
 
@@ -70,6 +103,7 @@ impl Distortion {
                 (model.distort(&p), model.jacobian(&p), p)
             }
             Self::KannalaBrandt(model) => return Some((model.project(point)?, model.jacobian(point))),
+            Self::Sphere(lens) => return lens.project_with_jacobian(point),
         };
         let inverse_z = 1.0 / point.z;
         let d_plane_d_point =
@@ -86,6 +120,7 @@ impl Distortion {
             Self::Radtan(model) => model.undistort(distorted)?,
             Self::Fov(model) => model.undistort(distorted)?,
             Self::KannalaBrandt(model) => return model.unproject(distorted),
+            Self::Sphere(lens) => return lens.unproject(distorted),
         };
         let bearing = Vector3::new(plane.x, plane.y, 1.0).normalize();
         bearing.iter().all(|x| x.is_finite()).then_some(bearing)
@@ -97,6 +132,7 @@ impl Distortion {
             Self::None | Self::Fov(_) => std::f64::consts::FRAC_PI_2,
             Self::Radtan(model) => model.limit.atan(),
             Self::KannalaBrandt(model) => model.limit,
+            Self::Sphere(lens) => lens.limit(),
         }
     }
 }
@@ -241,6 +277,23 @@ impl Radtan {
         )
     }
 
+    /// The derivative of [`distort`](Self::distort) by a coefficient, counted in OpenCV's order.
+    fn by_coefficient(&self, p: &Vector2<f64>, idx: usize) -> Vector2<f64> {
+        let (x, y) = (p.x, p.y);
+        let r2 = p.norm_squared();
+        let [k4, k5, k6] = self.denominator;
+        let bottom = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
+        let factor = self.factor(r2).0;
+        match idx {
+            0 => p * (r2 / bottom),
+            1 => p * (r2 * r2 / bottom),
+            2 => Vector2::new(2.0 * x * y, r2 + 2.0 * y * y),
+            3 => Vector2::new(r2 + 2.0 * x * x, 2.0 * x * y),
+            4 => p * (r2 * r2 * r2 / bottom),
+            rational => p * (-factor * r2.powi(rational as i32 - 4) / bottom),
+        }
+    }
+
     /// Newton's method from a first guess, which nearly always converges; else from the safe inverse of the
     /// radial part. Within `limit` the model is one-to-one, so any solution found there is the solution.
     #[inline]
@@ -368,6 +421,15 @@ impl KannalaBrandt {
         )
     }
 
+    /// The derivative of [`project`](Self::project) by a coefficient.
+    fn by_coefficient(point: &Vector3<f64>, idx: usize) -> Vector2<f64> {
+        let rho = point.xy().norm();
+        if rho <= 0.0 {
+            return Vector2::zeros();
+        }
+        point.xy() * (rho.atan2(point.z).powi(2 * idx as i32 + 3) / rho)
+    }
+
     #[inline]
     fn unproject(&self, distorted: &Vector2<f64>) -> Option<Vector3<f64>> {
         let radius = distorted.norm();
@@ -419,6 +481,18 @@ impl Fov {
     fn jacobian(&self, p: &Vector2<f64>) -> Matrix2<f64> {
         let (factor, d_factor_over_r) = self.factor(p.norm_squared());
         Matrix2::identity() * factor + p * p.transpose() * d_factor_over_r
+    }
+
+    /// The derivative of [`distort`](Self::distort) by `ω`.
+    fn by_coefficient(&self, p: &Vector2<f64>) -> Vector2<f64> {
+        let r = p.norm();
+        if r <= 0.0 {
+            return Vector2::zeros();
+        }
+        let (s, omega) = (self.stretch, self.omega);
+        let d_stretch = 1.0 / (0.5 * omega).cos().powi(2);
+        let slope = r * d_stretch / (1.0 + s * s * r * r);
+        p * ((slope - (s * r).atan() / omega) / (omega * r))
     }
 
     #[inline]

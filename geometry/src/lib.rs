@@ -51,8 +51,9 @@ mod pinhole;
 mod polynomial;
 mod pose;
 mod similarity;
+mod spheres;
 
-pub use camera::{Camera, MAX_UNDISTORTED_ANGLE_DEG};
+pub use camera::{CalibrationDerivatives, Camera, MAX_UNDISTORTED_ANGLE_DEG};
 pub use camera_parameters::{CameraError, CameraModel, CameraParameters};
 pub use correction::{CameraCorrection, CorrectedPixels};
 pub use direction::Direction;

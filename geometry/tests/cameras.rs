@@ -19,7 +19,7 @@ fn parameters(
 /// Calibrations of real cameras: EuRoC, TUM RGB-D freiburg1, TUM-VI, TUM monoVO, a phone with OpenCV's
 /// rational model.
 fn all_parameters() -> Vec<CameraParameters> {
-    use CameraModel::{Fov, KannalaBrandt, Radtan};
+    use CameraModel::{DoubleSphere, ExtendedUnified, Fov, KannalaBrandt, Radtan};
     let euroc = [458.654, 457.296, 367.215, 248.375];
     vec![
         parameters(CameraModel::Pinhole, (640, 480), [500.0, 510.0, 320.0, 240.0], &[]),
@@ -44,6 +44,14 @@ fn all_parameters() -> Vec<CameraParameters> {
         ),
         parameters(Fov, (1280, 1024), [715.0, 717.0, 640.0, 500.0], &[0.93]),
         parameters(Fov, (640, 480), [300.0, 300.0, 320.0, 240.0], &[1e-4]),
+        parameters(
+            DoubleSphere,
+            (512, 512),
+            [158.280, 158.274, 254.968, 256.346],
+            &[-0.17213086, 0.59317177],
+        ),
+        parameters(ExtendedUnified, (640, 480), [270.0, 271.0, 318.0, 243.0], &[0.63, 1.04]),
+        parameters(ExtendedUnified, (640, 480), [250.0, 250.0, 319.5, 239.5], &[0.0, 1.0]),
     ]
 }
 
@@ -82,8 +90,11 @@ fn undistorted_pixels_come_back_and_stay_within_the_bounds() {
         let mut n_usable = 0;
         for pixel in pixels(&camera) {
             let Some(undistorted) = camera.undistort(&pixel) else {
-                // Only the fisheye sees further than 80 degrees from its axis.
-                assert_eq!(camera.parameters().model, CameraModel::KannalaBrandt);
+                // Only the fisheyes see further than 80 degrees from their axes.
+                assert!(matches!(
+                    camera.parameters().model,
+                    CameraModel::KannalaBrandt | CameraModel::ExtendedUnified | CameraModel::DoubleSphere
+                ));
                 assert!(camera.unproject(&pixel).unwrap().z < 80.0_f64.to_radians().cos() + 1e-12);
                 continue;
             };
@@ -150,6 +161,72 @@ fn known_values_of_each_model() {
         150.0,
     );
     close(at(CameraModel::Fov, &[1.0]), 200.0 + 100.0 * (2.0 * 0.5 * 0.5_f64.tan()).atan(), 150.0);
+    // d = sqrt(1.2 + 4); 1 / (0.6 d + 0.4 * 2).
+    close(at(CameraModel::ExtendedUnified, &[0.6, 1.2]), 200.0 + 100.0 / (0.6 * 5.2_f64.sqrt() + 0.8), 150.0);
+    let shifted = 2.0 - 0.2 * 5.0_f64.sqrt();
+    close(
+        at(CameraModel::DoubleSphere, &[-0.2, 0.6]),
+        200.0 + 100.0 / (0.6 * (1.0 + shifted * shifted).sqrt() + 0.4 * shifted),
+        150.0,
+    );
+}
+
+#[test]
+fn spheres_show_more_than_180_degrees_and_what_is_not_used_of_them_is_told() {
+    let wide = parameters(
+        CameraModel::DoubleSphere,
+        (512, 512),
+        [158.280, 158.274, 254.968, 256.346],
+        &[-0.17213086, 0.59317177],
+    );
+    let camera = Camera::new(wide).unwrap();
+    let behind = Vector3::new(1.0, 0.0, -0.05).normalize();
+    let pixel = camera.project(&behind).expect("92.9 degrees from the axis");
+    assert_close(&camera.unproject(&pixel).unwrap(), &behind, 1e-10, "behind the image plane");
+    assert_eq!(camera.undistort(&pixel), None, "no pinhole sees it");
+    assert!(camera.share_beyond_reach() > 0.05 && camera.folded_share() == 0.0);
+    let warnings = camera.warnings();
+    assert!(warnings.len() == 1 && warnings[0].contains("80 degrees from the axis"), "{warnings:?}");
+}
+
+#[test]
+fn calibrations_are_differentiated_by_their_numbers() {
+    for parameters in all_parameters() {
+        let camera = Camera::under_trial(parameters.clone());
+        for point in
+            [Vector3::new(0.3, -0.2, 1.1), Vector3::new(-0.9, 0.7, 2.0), Vector3::new(0.05, 0.4, 0.8)]
+        {
+            let found = camera.project_for_calibration(&point).unwrap();
+            assert_close(&found.pixel, &camera.project(&point).unwrap(), 1e-10, "pixel");
+            let n = 4 + parameters.distortion.len();
+            assert_eq!(found.d_pixel_d_parameters.len(), n);
+            for idx in 0..n {
+                let at = |by: f64| {
+                    let mut moved = parameters.clone();
+                    let CameraParameters { fx, fy, cx, cy, distortion, .. } = &mut moved;
+                    let mut numbers: Vec<&mut f64> = vec![fx, fy, cx, cy];
+                    numbers.extend(distortion.iter_mut());
+                    *numbers[idx] += by;
+                    Camera::under_trial(moved).project(&point).unwrap()
+                };
+                let step = if idx < 4 { 1e-3 } else { 1e-5 };
+                let expected = (at(step) - at(-step)) / (2.0 * step);
+                let error = (found.d_pixel_d_parameters[idx] - expected).norm();
+                assert!(error < 1e-5 * (1.0 + expected.norm()), "{:?} {idx}: {error:e}", parameters.model);
+            }
+        }
+    }
+}
+
+#[test]
+fn bounds_are_those_of_what_is_used() {
+    let camera = Camera::new(all_parameters()[0].clone()).unwrap();
+    let corners = [Vector2::new(99.5, 49.5), Vector2::new(300.5, 200.5)];
+    let used = camera.with_used_box(Some(corners));
+    assert_eq!(used.undistorted_bounds(), (corners[0], corners[1]));
+    let (low, high) = used.scaled(2.0, 2.0).undistorted_bounds();
+    assert_close(&low, &Vector2::new(199.5, 99.5), 1e-9, "low");
+    assert_close(&high, &Vector2::new(601.5, 401.5), 1e-9, "high");
 }
 
 #[test]

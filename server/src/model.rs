@@ -38,7 +38,8 @@ pub struct Camera {
     #[schema(example = 239.5)]
     #[serde(default)]
     pub cy: f64,
-    /// Coefficients of the model: none; `k1 k2 p1 p2 [k3 [k4 k5 k6]]`; `k1 k2 k3 k4`; `omega`.
+    /// Coefficients of the model: none; `k1 k2 p1 p2 [k3 [k4 k5 k6]]`; `k1 k2 k3 k4`; `omega`;
+    /// `alpha beta`; `xi alpha`.
     #[serde(default)]
     pub distortion: Vec<f64>,
 }
@@ -55,6 +56,10 @@ pub enum Model {
     KannalaBrandt,
     /// Devernay-Faugeras field of view.
     Fov,
+    /// Extended unified model; with a second coefficient of 1 the unified model.
+    Eucm,
+    /// Double sphere.
+    DoubleSphere,
 }
 
 impl From<Camera> for CameraParameters {
@@ -65,6 +70,8 @@ impl From<Camera> for CameraParameters {
             Model::Radtan => CameraModel::Radtan,
             Model::KannalaBrandt => CameraModel::KannalaBrandt,
             Model::Fov => CameraModel::Fov,
+            Model::Eucm => CameraModel::ExtendedUnified,
+            Model::DoubleSphere => CameraModel::DoubleSphere,
         };
         Self { model, width, height, fx, fy, cx, cy, distortion }
     }
@@ -78,6 +85,8 @@ impl From<CameraParameters> for Camera {
             CameraModel::Radtan => Model::Radtan,
             CameraModel::KannalaBrandt => Model::KannalaBrandt,
             CameraModel::Fov => Model::Fov,
+            CameraModel::ExtendedUnified => Model::Eucm,
+            CameraModel::DoubleSphere => Model::DoubleSphere,
         };
         Self { model, width, height, fx, fy, cx, cy, distortion }
     }

@@ -197,6 +197,7 @@ pub fn engine_config_of(record: &SessionRecord) -> Result<SlamConfig, ApiError> 
     if !record.enlarges_small_images {
         config.enlarge_below_px = 0;
     }
+    config.enlarge_for_border = record.enlarges_for_border;
     Ok(config)
 }
 

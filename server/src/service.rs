@@ -253,8 +253,9 @@ impl Service {
     /// # Errors
     /// If there is none of this id, or nothing is left out.
     pub async fn mask(&self, id: &SessionId) -> Result<Bytes, ApiError> {
-        let known = self.store.mask(id.as_str()).await?.ok_or_else(|| masks::none_of(id))?;
-        masks::picture(known).await
+        let camera = self.store.get_session(id.as_str()).await?.checked_camera()?;
+        let known = self.store.mask(id.as_str()).await?;
+        masks::picture(known, camera).await?.ok_or_else(|| masks::none_of(id))
     }
 
     /// Gives what of a session's images is to be left out, or, with `None`, lets that be found. It holds from

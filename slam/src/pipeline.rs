@@ -53,6 +53,8 @@ pub struct Pipeline {
     is_camera_wrong: bool,
     mapping_enabled: bool,
     lossless: bool,
+    /// Whether it is decided at which size images are worked on.
+    has_resolution: bool,
     /// Absent where all rows of an image are read at once.
     rolling_shutter: Option<RollingShutter>,
 }
@@ -64,6 +66,7 @@ impl Pipeline {
     /// If the frame cannot be used; the session is as it was before.
     pub fn process_frame(&mut self, frame: Frame) -> Result<FrameReport, FrameError> {
         frame.check(&self.camera, self.last_frame)?;
+        self.choose_resolution(&frame.image);
         self.last_frame = Some((frame.sequence, frame.timestamp_ns));
         let mut stopwatch = Stopwatch::start(self.clock.clone());
         Ok(cores::with_turn(|| {

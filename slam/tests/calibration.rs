@@ -1,6 +1,7 @@
 //! A camera that is not quite as it was given.
 
 use geometry::{Camera, CameraCorrection, CameraModel, CameraParameters};
+use slam::report::TrackingOutcome;
 use slam::{CalibrationTrust, MapEvent, ResumeState, SlamConfig};
 use synthetic::{Preset, Sequence, SequenceConfig};
 use testkit::{Session, evaluate, inline};
@@ -88,6 +89,35 @@ fn a_calibration_that_cannot_be_true_is_told_and_left_alone() {
         "{:?}",
         walk.session.events
     );
+    assert!(walk.session.is_correction_stored, "what is to be stored says so");
+
+    // Taken up again, it is still known, and nothing is shown as plainly tracked.
+    let map = walk.session.pipeline.map();
+    let true_to = walk.sequence.camera().parameters().clone();
+    let (fx, fy) = (1.12 * true_to.fx, 1.12 * true_to.fy);
+    let given = Camera::new(CameraParameters { fx, fy, ..true_to }).unwrap();
+    let state = ResumeState { map: map.to_parts(), last_frame: None, mask: None };
+    let mut again = Session::resume(inline(2), &given, state);
+    let reports = again.show_frames(&walk.sequence, 0..5);
+    let outcomes: Vec<_> = reports.iter().map(|report| report.outcome).collect();
+    assert!(outcomes.contains(&TrackingOutcome::CalibrationContradicted), "{outcomes:?}");
+    assert!(!outcomes.contains(&TrackingOutcome::Tracked), "{outcomes:?}");
+}
+
+#[test]
+fn a_calibration_of_an_image_half_the_size_is_told_within_a_hundred_frames() {
+    let sequence = Sequence::preset(Preset::RoomRich, 2);
+    let true_to = sequence.camera().parameters().clone();
+    let CameraParameters { fx, fy, cx, cy, .. } = true_to;
+    let half = CameraParameters { fx: fx / 2.0, fy: fy / 2.0, cx: cx / 2.0, cy: cy / 2.0, ..true_to };
+    let mut config = inline(2);
+    let (given, calibration) = config.calibration.begin_with(half);
+    config.calibration = calibration;
+    let mut session = Session::new(config, &Camera::new(given).unwrap());
+    let reports = session.show_frames(&sequence, (0..300).step_by(STEP));
+    let n_tracked = reports.iter().filter(|report| report.outcome == TrackingOutcome::Tracked).count();
+    let told = |event: &MapEvent| matches!(event, MapEvent::CalibrationContradicted { .. });
+    assert!(session.events.iter().any(told), "{:?} of {n_tracked} frames", session.events);
 }
 
 /// A walk of which the engine is told the size of the images alone. `change` makes another camera of the

@@ -33,6 +33,8 @@ pub struct Session {
     pub events: Vec<MapEvent>,
     /// Whether an update said that the camera is another.
     pub is_correction_stored: bool,
+    /// Whether an update said that images are enlarged for their border.
+    pub is_enlarged_stored: bool,
 }
 
 impl Session {
@@ -51,7 +53,13 @@ impl Session {
     pub fn resume(config: SlamConfig, camera: &Camera, state: ResumeState) -> Self {
         let pipeline = Pipeline::resume(config, camera.clone(), Arc::new(NoClock), state)
             .unwrap_or_else(|refused| panic!("{refused}"));
-        Self { pipeline, records: BTreeMap::new(), events: Vec::new(), is_correction_stored: false }
+        Self {
+            pipeline,
+            records: BTreeMap::new(),
+            events: Vec::new(),
+            is_correction_stored: false,
+            is_enlarged_stored: false,
+        }
     }
 
     /// Shows the engine an image and takes what is to be stored.
@@ -106,6 +114,7 @@ impl Session {
         for update in updates {
             update.map.check().unwrap_or_else(|wrong| panic!("{wrong}"));
             self.is_correction_stored |= update.changes.correction;
+            self.is_enlarged_stored |= update.changes.enlarged;
             self.records.extend(update.frames.iter().map(|record| (record.sequence, record.clone())));
         }
     }

@@ -1,6 +1,7 @@
 //! From the bytes of a client to a gray image. The bytes are not trusted: sizes are checked before anything
 //! is decoded or allocated, and whatever is wrong comes back as a [`DecodeError`].
 
+mod alpha;
 mod convert;
 mod depth;
 mod format;
@@ -12,6 +13,7 @@ mod png;
 #[cfg(test)]
 mod tests;
 
+pub use alpha::decode_alpha;
 pub use depth::SampleDepth;
 pub use format::FileFormat;
 

@@ -41,12 +41,14 @@ pub async fn run(args: CalibrationArgs) -> Result<()> {
 }
 
 /// A camera as calib.json has it.
-fn calibration(camera: &v1::Camera) -> String {
+pub(super) fn calibration(camera: &v1::Camera) -> String {
     let model = match camera.model() {
         v1::CameraModel::Pinhole | v1::CameraModel::Unspecified => "pinhole",
         v1::CameraModel::Radtan => "radtan",
         v1::CameraModel::KannalaBrandt => "kannala_brandt",
         v1::CameraModel::Fov => "fov",
+        v1::CameraModel::ExtendedUnified => "eucm",
+        v1::CameraModel::DoubleSphere => "double-sphere",
     };
     let v1::Camera { width, height, fx, fy, cx, cy, distortion, .. } = camera;
     let object = json!({

@@ -1,6 +1,7 @@
 //! One module for each command.
 
 mod bench;
+mod calibrate;
 mod calibration;
 mod demo;
 mod evaluate;
@@ -36,6 +37,8 @@ pub enum Command {
     Trajectory(trajectory::TrajectoryArgs),
     /// Write the camera of a session, as it was found, as a calibration file
     Calibration(calibration::CalibrationArgs),
+    /// Find the calibration of a camera from pictures of a chessboard
+    Calibrate(calibrate::CalibrateArgs),
     /// Save the map of a session as files of other programs
     Export(export::ExportArgs),
     /// Write everything about a session on one page that needs no server
@@ -70,6 +73,7 @@ impl Command {
             Self::Stream(args) => stream::run(args).await,
             Self::Trajectory(args) => trajectory::run(args).await,
             Self::Calibration(args) => calibration::run(args).await,
+            Self::Calibrate(args) => calibrate::run(&args),
             Self::Export(args) => export::run(args).await,
             Self::Report(args) => report::run(args).await,
             Self::Evaluate(args) => evaluate::run(&args),

@@ -1109,6 +1109,10 @@ pub enum CameraModel {
     KannalaBrandt = 3,
     /// Devernay-Faugeras field of view: omega.
     Fov = 4,
+    /// Extended unified model: alpha beta. With beta = 1 the unified model.
+    ExtendedUnified = 5,
+    /// Double sphere: xi alpha.
+    DoubleSphere = 6,
 }
 impl CameraModel {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -1122,6 +1126,8 @@ impl CameraModel {
             Self::Radtan => "CAMERA_MODEL_RADTAN",
             Self::KannalaBrandt => "CAMERA_MODEL_KANNALA_BRANDT",
             Self::Fov => "CAMERA_MODEL_FOV",
+            Self::ExtendedUnified => "CAMERA_MODEL_EXTENDED_UNIFIED",
+            Self::DoubleSphere => "CAMERA_MODEL_DOUBLE_SPHERE",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -1132,6 +1138,8 @@ impl CameraModel {
             "CAMERA_MODEL_RADTAN" => Some(Self::Radtan),
             "CAMERA_MODEL_KANNALA_BRANDT" => Some(Self::KannalaBrandt),
             "CAMERA_MODEL_FOV" => Some(Self::Fov),
+            "CAMERA_MODEL_EXTENDED_UNIFIED" => Some(Self::ExtendedUnified),
+            "CAMERA_MODEL_DOUBLE_SPHERE" => Some(Self::DoubleSphere),
             _ => None,
         }
     }

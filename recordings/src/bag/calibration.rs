@@ -33,6 +33,9 @@ pub(super) fn decode(message: &RosMessage, is_rectified: bool) -> Result<Camera,
         _ if is_straight => CameraModel::Pinhole,
         "plumb_bob" | "rational_polynomial" => CameraModel::Radtan,
         "equidistant" | "fisheye" => CameraModel::KannalaBrandt,
+        "fov" => CameraModel::Fov,
+        "eucm" => CameraModel::ExtendedUnified,
+        "ds" => CameraModel::DoubleSphere,
         other => return Err(format!("its distortion model `{other}` is not supported")),
     };
     let distortion = if is_straight { Vec::new() } else { distortion };

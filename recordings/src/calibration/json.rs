@@ -1,4 +1,5 @@
-//! `calib.json`: one object with `model` (`pinhole`, `radtan`, `kannala-brandt`, `fov`), `width`, `height`,
+//! `calib.json`: one object with `model` (`pinhole`, `radtan`, `kannala-brandt`, `fov`, `eucm`,
+//! `double-sphere`), `width`, `height`,
 //! `fx`, `fy`, `cx`, `cy`, and the coefficients as `dist`.
 
 use std::path::Path;
@@ -6,7 +7,7 @@ use std::path::Path;
 use geometry::{Camera, CameraModel, CameraParameters};
 use serde::Deserialize;
 
-use super::checked_camera;
+use super::{basalt, checked_camera};
 use crate::files::{FileError, TextFile};
 
 #[derive(Deserialize)]
@@ -32,9 +33,19 @@ enum Model {
     #[serde(alias = "equidistant", alias = "kannala_brandt", alias = "opencv_fisheye")]
     KannalaBrandt,
     Fov,
+    #[serde(alias = "extended-unified")]
+    Eucm,
+    /// The unified model, with one coefficient.
+    #[serde(alias = "unified")]
+    Ucm,
+    #[serde(alias = "ds", alias = "double_sphere")]
+    DoubleSphere,
 }
 
 pub(super) fn read(path: &Path, file: &TextFile) -> Result<Camera, FileError> {
+    if let Some(camera) = basalt::read(path, file)? {
+        return Ok(camera);
+    }
     let calibration: Calibration = serde_json::from_str(file.text()).map_err(|e| FileError::Line {
         path: path.to_owned(),
         line: e.line(),
@@ -53,8 +64,14 @@ pub(super) fn read(path: &Path, file: &TextFile) -> Result<Camera, FileError> {
         Some(Model::Radtan) => CameraModel::Radtan,
         Some(Model::KannalaBrandt) => CameraModel::KannalaBrandt,
         Some(Model::Fov) => CameraModel::Fov,
+        Some(Model::Eucm | Model::Ucm) => CameraModel::ExtendedUnified,
+        Some(Model::DoubleSphere) => CameraModel::DoubleSphere,
     };
     let Calibration { width, height, fx, fy, cx, cy, dist, .. } = calibration;
-    let distortion = if model == CameraModel::Pinhole && is_straight { Vec::new() } else { dist };
+    let distortion = match calibration.model {
+        _ if model == CameraModel::Pinhole && is_straight => Vec::new(),
+        Some(Model::Ucm) if dist.len() == 1 => vec![dist[0], 1.0],
+        _ => dist,
+    };
     checked_camera(path, CameraParameters { model, width, height, fx, fy, cx, cy, distortion })
 }

@@ -1,6 +1,7 @@
 //! Calibrations as programs write them: our `calib.json`, `sensor.yaml` of EuRoC, camchains of Kalibr,
-//! matrices of OpenCV and ROS, `cameras.txt` of COLMAP.
+//! matrices of OpenCV and ROS, `cameras.txt` of COLMAP, calibrations of Basalt.
 
+mod basalt;
 mod colmap;
 mod json;
 mod yaml;

@@ -10,8 +10,8 @@ use crate::files::{FileError, TextFile};
 use crate::trajectory::pose_of_matrix;
 use crate::yaml::{Node, Yaml};
 
-/// Models of lenses that are not read, by name, so that a message can say so.
-const OTHER_MODELS: [&str; 5] = ["omni", "ds", "eucm", "double-sphere", "unified"];
+/// Kalibr's models with spheres: what comes before the focal lengths in `intrinsics` is theirs.
+const SPHERES: [&str; 3] = ["ds", "eucm", "omni"];
 
 /// A camera and, where the file has it, its place on the body whose poses are the truth.
 pub(crate) struct Rig {
@@ -41,11 +41,57 @@ struct Reader<'a> {
 impl Reader<'_> {
     fn camera(&self) -> Result<Camera, FileError> {
         let (width, height) = self.size()?;
-        let [fx, fy, cx, cy] = self.intrinsics()?;
         let distortion = self.distortion()?;
+        if let Some((model, node)) = self.word(&["camera_model"])
+            && SPHERES.contains(&model.as_str())
+        {
+            return self.sphere(&model, node, (width, height), &distortion);
+        }
+        let [fx, fy, cx, cy] = self.intrinsics()?;
         let model = self.model(&distortion)?;
         let distortion = if model == CameraModel::Pinhole { Vec::new() } else { distortion };
         checked_camera(self.path, CameraParameters { model, width, height, fx, fy, cx, cy, distortion })
+    }
+
+    /// `ds` (`ξ α`), `eucm` (`α β`) or `omni` (`ξ`), followed by focal lengths and principal point.
+    fn sphere(
+        &self,
+        name: &str,
+        node: &Node,
+        (width, height): (u32, u32),
+        distortion: &[f64],
+    ) -> Result<Camera, FileError> {
+        if distortion.iter().any(|k| *k != 0.0) {
+            let message = format!(
+                "camera_model `{name}` with a distortion beside it is not supported: calibrate with ds, eucm or \
+                 equidistant distortion"
+            );
+            return Err(self.yaml.error(node, message));
+        }
+        let (numbers, node) = self.numbers(&["intrinsics"])?.ok_or_else(|| self.missing("intrinsics"))?;
+        let (model, lens, pinhole) = match (name, &numbers[..]) {
+            ("ds", [xi, alpha, pinhole @ ..]) => (CameraModel::DoubleSphere, vec![*xi, *alpha], pinhole),
+            ("eucm", [alpha, beta, pinhole @ ..]) => {
+                (CameraModel::ExtendedUnified, vec![*alpha, *beta], pinhole)
+            }
+            // Mei's ξ, whose focal lengths are 1 + ξ times as long.
+            ("omni", [xi, pinhole @ ..]) => {
+                (CameraModel::ExtendedUnified, vec![xi / (1.0 + xi), 1.0], pinhole)
+            }
+            _ => (CameraModel::Pinhole, Vec::new(), &[][..]),
+        };
+        let [fx, fy, cx, cy] = *pinhole else {
+            let message = format!("`intrinsics` of the model {name} cannot have {} numbers", numbers.len());
+            return Err(self.yaml.error(node, message));
+        };
+        let by = if name == "omni" { 1.0 + numbers[0] } else { 1.0 };
+        let (fx, fy, distortion) = (fx / by, fy / by, lens);
+        checked_camera(self.path, CameraParameters { model, width, height, fx, fy, cx, cy, distortion })
+    }
+
+    fn word(&self, names: &[&str]) -> Option<(String, &Node)> {
+        let node = self.camera.get(names)?;
+        Some((node.word()?.to_lowercase(), node))
     }
 
     fn numbers(&self, names: &[&str]) -> Result<Option<(Vec<f64>, &Node)>, FileError> {
@@ -106,20 +152,11 @@ impl Reader<'_> {
     }
 
     fn model(&self, distortion: &[f64]) -> Result<CameraModel, FileError> {
-        let word = |names: &[&str]| {
-            let node = self.camera.get(names)?;
-            Some((node.word()?.to_lowercase(), node))
-        };
-        if let Some((model, node)) = word(&["camera_model"])
-            && OTHER_MODELS.contains(&model.as_str())
-        {
-            return Err(self.unsupported("camera_model", &model, node));
-        }
         if distortion.iter().all(|k| *k == 0.0) {
             return Ok(CameraModel::Pinhole);
         }
         // OpenCV's files do not name the model; its fisheye is told by hand.
-        let Some((model, node)) = word(&["distortion_model"]) else { return Ok(CameraModel::Radtan) };
+        let Some((model, node)) = self.word(&["distortion_model"]) else { return Ok(CameraModel::Radtan) };
         match model.as_str() {
             "radial-tangential" | "radtan" | "plumb_bob" | "rational_polynomial" => Ok(CameraModel::Radtan),
             "equidistant" | "fisheye" | "kannala-brandt" | "kannala_brandt" => Ok(CameraModel::KannalaBrandt),

@@ -304,3 +304,30 @@ fn calibrations_of_other_programs_are_read() {
     let tilt = json("[0.1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0.01, 0]", r#""model": "radtan","#);
     assert!(read("calib.json", &tilt).unwrap_err().contains("tilted"));
 }
+
+#[test]
+fn kalibrs_spheres_are_read_as_ours() {
+    use geometry::CameraModel;
+    let read = |model: &str, intrinsics: &str, distortion: &str| {
+        let text = format!(
+            "cam0:\n  camera_model: {model}\n  distortion_coeffs: {distortion}\n  distortion_model: none\n  intrinsics: \
+             {intrinsics}\n  resolution: [8, 6]\n"
+        );
+        let folder = vehicle("mav0/cam0/sensor.yaml", &text);
+        open(folder.root(), OpenOptions::default()).map(|recording| recording.camera.parameters().clone())
+    };
+    let ds = read("ds", "[-0.2, 0.6, 4.0, 4.1, 3.9, 3.0]", "[]").unwrap();
+    assert_eq!(
+        (ds.model, ds.distortion, ds.fx, ds.cy),
+        (CameraModel::DoubleSphere, vec![-0.2, 0.6], 4.0, 3.0)
+    );
+    let eucm = read("eucm", "[0.6, 1.1, 4.0, 4.1, 3.9, 3.0]", "[]").unwrap();
+    assert_eq!((eucm.model, eucm.distortion), (CameraModel::ExtendedUnified, vec![0.6, 1.1]));
+    // Mei's ξ of 1: f (1 + ξ) / (ξ d + z) is (f / 2) / (d / 2 + z / 2).
+    let omni = read("omni", "[1.0, 8.0, 8.0, 4.0, 3.0]", "[0.0, 0.0]").unwrap();
+    assert_eq!((omni.model, omni.distortion, omni.fx), (CameraModel::ExtendedUnified, vec![0.5, 1.0], 4.0));
+    let refused = read("omni", "[1.0, 8.0, 8.0, 4.0, 3.0]", "[0.1, 0.0]").unwrap_err().to_string();
+    assert!(refused.contains("`omni` with a distortion"), "{refused}");
+    let refused = read("ds", "[4.0, 4.1, 3.9, 3.0]", "[]").unwrap_err().to_string();
+    assert!(refused.contains("cannot have 4 numbers"), "{refused}");
+}

@@ -182,8 +182,8 @@ fn euroc_ground_truth_is_that_of_the_camera() {
     assert!(
         message(folder.root(), None).contains("sensor.yaml:13: `x` in `intrinsics` is not a finite number")
     );
-    folder.file("mav0/cam0/sensor.yaml", &SENSOR.replace("radial-tangential", "omni"));
-    assert!(message(folder.root(), None).contains("`omni` is not supported"));
+    folder.file("mav0/cam0/sensor.yaml", &SENSOR.replace("radial-tangential", "division"));
+    assert!(message(folder.root(), None).contains("`division` is not supported"));
 }
 
 #[test]

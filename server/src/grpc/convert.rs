@@ -4,7 +4,7 @@ use crate::access::Caller;
 use crate::budget::Charge;
 use crate::error::{ApiError, FieldViolation};
 use crate::model::{Pose, Scale, Units};
-use crate::options::{Calibration, SessionOptions, camera_warnings, convert_options};
+use crate::options::{Calibration, SessionOptions, convert_options};
 use crate::service::NewSession;
 use crate::session::{
     Answer, Before, Encoding, FrameOutcome, MapChange, Mode, OpenRequest, Policy, Rejection, Reply,
@@ -40,10 +40,12 @@ pub(super) fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, 
         v1::CameraModel::Radtan => CameraModel::Radtan,
         v1::CameraModel::KannalaBrandt => CameraModel::KannalaBrandt,
         v1::CameraModel::Fov => CameraModel::Fov,
+        v1::CameraModel::ExtendedUnified => CameraModel::ExtendedUnified,
+        v1::CameraModel::DoubleSphere => CameraModel::DoubleSphere,
         // A camera that is given by its size alone has no model.
         v1::CameraModel::Unspecified if camera.fx == 0.0 && camera.fy == 0.0 => CameraModel::Pinhole,
         v1::CameraModel::Unspecified => {
-            let sentence = "must be PINHOLE, RADTAN, KANNALA_BRANDT or FOV";
+            let sentence = "must be PINHOLE, RADTAN, KANNALA_BRANDT, FOV, EXTENDED_UNIFIED or DOUBLE_SPHERE";
             return Err(ApiError::invalid("camera.model", sentence));
         }
     };
@@ -147,7 +149,7 @@ pub(super) fn session(view: &SessionView) -> v1::Session {
         damage: view.damage.clone(),
         scale_measurement: None,
         mask: view.mask.map(|mask| v1::Mask { share: mask.share, given: mask.is_given }),
-        camera_warnings: camera_warnings(&view.camera),
+        camera_warnings: view.camera_warnings(),
     }
 }
 
@@ -157,6 +159,8 @@ pub(super) fn camera(camera: &CameraParameters) -> v1::Camera {
         CameraModel::Radtan => v1::CameraModel::Radtan,
         CameraModel::KannalaBrandt => v1::CameraModel::KannalaBrandt,
         CameraModel::Fov => v1::CameraModel::Fov,
+        CameraModel::ExtendedUnified => v1::CameraModel::ExtendedUnified,
+        CameraModel::DoubleSphere => v1::CameraModel::DoubleSphere,
     };
     let CameraParameters { model: _, width, height, fx, fy, cx, cy, ref distortion } = *camera;
     v1::Camera { model: model.into(), width, height, fx, fy, cx, cy, distortion: distortion.clone() }

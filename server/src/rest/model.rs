@@ -3,7 +3,7 @@
 use crate::access::Caller;
 use crate::error::ApiError;
 use crate::model::{Camera, Scale, State};
-use crate::options::{SessionOptions, camera_warnings};
+use crate::options::SessionOptions;
 use crate::service::NewSession;
 use crate::session::SessionView;
 use serde::{Deserialize, Serialize};
@@ -119,9 +119,10 @@ impl CreateSession {
 
 impl From<SessionView> for Session {
     fn from(view: SessionView) -> Self {
+        let camera_warnings = view.camera_warnings();
         Self {
             id: view.id,
-            camera_warnings: camera_warnings(&view.camera),
+            camera_warnings,
             camera: view.camera.into(),
             refined_camera: view.refined_camera.map(Camera::from),
             options: view.options,

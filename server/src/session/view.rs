@@ -1,6 +1,6 @@
 //! A session as callers see it: its row, under what is known of it while it is in memory.
 
-use crate::options::SessionOptions;
+use crate::options::{SessionOptions, camera_warnings};
 use geometry::CameraParameters;
 use slam::map::FrameState;
 use store::{MaskShare, SessionRecord};
@@ -44,6 +44,8 @@ pub struct SessionView {
     pub camera: CameraParameters,
     /// Its camera as it was found to be; `None` while it is used as it was given.
     pub refined_camera: Option<CameraParameters>,
+    /// Whether its images were found to contradict its camera.
+    pub is_contradicted: bool,
     /// What of its images is left out as not being the scene, if anything is.
     pub mask: Option<MaskShare>,
     /// The session's options.
@@ -90,14 +92,27 @@ impl SessionView {
         view
     }
 
+    /// What is doubtful about its camera, in plain sentences.
+    pub fn camera_warnings(&self) -> Vec<String> {
+        let contradicted = self.is_contradicted.then(|| {
+            let sentence = "the images contradict the calibration, so that all poses are weak: were they resized or cropped, or \
+                            is the calibration that of another camera? With options.give_up_calibration a session finds its \
+                            camera itself";
+            sentence.to_owned()
+        });
+        camera_warnings(&self.camera).into_iter().chain(contradicted).collect()
+    }
+
     fn stored(record: SessionRecord) -> Self {
         let refined_camera = record.refined_camera();
         let SessionRecord {
             id,
             camera,
             correction: _,
+            is_contradicted,
             options,
             enlarges_small_images: _,
+            enlarges_for_border: _,
             mask,
             created_at_ns,
             state,
@@ -110,6 +125,7 @@ impl SessionView {
             id,
             camera,
             refined_camera,
+            is_contradicted,
             mask,
             options: options.into(),
             created_at_ns,

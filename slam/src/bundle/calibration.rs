@@ -76,6 +76,8 @@ pub(crate) struct Estimate {
     pub inflation: f64,
     /// Decrease of χ² against the present camera, for errors as correlated as they turned out to be.
     pub gain: f64,
+    /// The same by the images alone, without what was known before.
+    pub image_gain: f64,
     poses: Vec<(KeyframeId, Pose)>,
     points: Vec<(PointId, Vector3<f64>)>,
 }
@@ -195,17 +197,22 @@ impl<'a> Calibration<'a> {
             self.solve(max_iterations, aborted);
         }
         let sigmas = self.sigmas(inflation);
+        // Of the same observations as before.
+        if search {
+            self.problem.set_group_enabled(self.observations, true);
+        }
         let found_images = self.problem.cost_of(self.observations).robust;
         let knowledge_of = |correction: &CorrectionVector| {
             let residual = self.problem.factors(self.prior)[0].residual((correction,));
             residual.map_or(f64::INFINITY, |residual| 0.5 * residual.norm_squared())
         };
         let found = knowledge_of(self.problem.value(self.correction));
+        let image_gain = 2.0 * (present_images - found_images) * self.least_inflation() / inflation;
         let gain = 2.0 * (present_images + knowledge_of(&present) - found_images - found);
         // What was gained counts for as much less as errors turned out to be more correlated than was
         // thought.
         let gain = gain * self.least_inflation() / inflation;
-        (!aborted()).then(|| self.into_estimate(inflation, gain, sigmas))
+        (!aborted()).then(|| self.into_estimate(inflation, [gain, image_gain], sigmas))
     }
 
     /// Whether the camera is held to a calibration that was given.
@@ -336,12 +343,18 @@ impl<'a> Calibration<'a> {
         }
     }
 
-    fn into_estimate(self, inflation: f64, gain: f64, sigmas: CorrectionVector) -> Estimate {
+    fn into_estimate(
+        self,
+        inflation: f64,
+        [gain, image_gain]: [f64; 2],
+        sigmas: CorrectionVector,
+    ) -> Estimate {
         Estimate {
             correction: correction_of(self.problem.value(self.correction)),
             sigmas,
             inflation,
             gain,
+            image_gain,
             poses: self.poses.iter().map(|(id, variable)| (*id, *self.problem.value(*variable))).collect(),
             points: self.points.iter().map(|(id, variable)| (*id, *self.problem.value(*variable))).collect(),
         }

@@ -32,6 +32,9 @@ pub struct CalibrationConfig {
     /// Whether a calibration that was given and that the images contradict is given up for what they say.
     /// Default off: the client is told, and it is used as it was given.
     pub wide: bool,
+    /// Whether the calibration that was given is doubtful by its numbers alone: then one look at the images
+    /// that speaks against it is enough. Default not; [`begin_with`](Self::begin_with) sets it.
+    pub suspected: bool,
     /// Standard deviation of the focal length as given, as a share of it. Default 0.01: what calibrations by
     /// hand, autofocus and warming up leave.
     pub focal_sigma: f64,
@@ -181,7 +184,7 @@ impl CalibrationConfig {
             return (camera, Self { trust: CalibrationTrust::Unknown, ..self });
         }
         let (min_keyframes, growth) = (self.min_keyframes_while_unknown, self.growth_while_unknown);
-        (camera, Self { min_keyframes, growth, ..self })
+        (camera, Self { min_keyframes, growth, suspected: true, ..self })
     }
 
     /// The camera to begin with where nothing is known but the size of its image.
@@ -235,6 +238,7 @@ impl Default for CalibrationConfig {
         Self {
             trust: CalibrationTrust::Given,
             wide: false,
+            suspected: false,
             focal_sigma: 0.01,
             center_sigma: 0.01,
             approximate_focal_sigma: 0.15,

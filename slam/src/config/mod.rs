@@ -87,6 +87,10 @@ pub struct SlamConfig {
     /// 160 000, half of VGA: corners are looked for in cells, patches and levels that are meant for such a
     /// size. KITTI 00 at 416 x 128: 3.6 % of the path became 0.5.
     pub enlarge_below_px: u32,
+    /// Whether images are worked on at twice their width and height although they are not small, because a
+    /// border leaves fewer pixels of them than `enlarge_below_px`. Default not: a session decides it with its
+    /// first image, and keeps it.
+    pub enlarge_for_border: bool,
     /// The extractor of points.
     pub orb: OrbConfig,
     /// Initialization: the first map.
@@ -125,6 +129,7 @@ impl Default for SlamConfig {
             features: FeatureSwitches::default(),
             working_width_px: 1280,
             enlarge_below_px: 160_000,
+            enlarge_for_border: false,
             orb: OrbConfig::default(),
             initialization: InitializationConfig::default(),
             tracking: TrackingConfig::default(),
@@ -208,9 +213,8 @@ impl SlamConfig {
     /// The camera the engine works with: the session's, scaled down where its images are wider than the
     /// working width, and up where they are small.
     pub fn working_camera(&self, camera: &Camera) -> Camera {
-        if camera.width().saturating_mul(camera.height()) < self.enlarge_below_px
-            && ENLARGEMENT * camera.width() <= self.working_width_px
-        {
+        let is_small = camera.width().saturating_mul(camera.height()) < self.enlarge_below_px;
+        if (is_small || self.enlarge_for_border) && self.can_enlarge(camera) {
             return camera.scaled(f64::from(ENLARGEMENT), f64::from(ENLARGEMENT));
         }
         if camera.width() <= self.working_width_px {
@@ -219,6 +223,16 @@ impl SlamConfig {
         let factor = f64::from(self.working_width_px) / f64::from(camera.width());
         let height = (f64::from(camera.height()) * factor).round().max(1.0);
         camera.scaled(factor, height / f64::from(camera.height()))
+    }
+
+    fn can_enlarge(&self, camera: &Camera) -> bool {
+        ENLARGEMENT.saturating_mul(camera.width()) <= self.working_width_px
+    }
+
+    /// Whether images of this camera are to be enlarged since no more of them is used than a box of so many
+    /// pixels, which is small.
+    pub(crate) fn is_enlarged_for(&self, camera: &Camera, n_used_px: u32) -> bool {
+        n_used_px < self.enlarge_below_px && self.can_enlarge(camera)
     }
 
     /// The resolutions the extractor looks at.
@@ -250,6 +264,9 @@ mod tests {
         let (small, large) = (camera(416, 128), config.working_camera(&camera(416, 128)));
         let ray = |camera: &Camera, x, y| camera.pinhole().bearing(&geometry::nalgebra::Vector2::new(x, y));
         assert!((ray(&small, 10.0, 20.0) - ray(&large, 20.5, 40.5)).norm() < 1e-12);
+        let bordered = SlamConfig { enlarge_for_border: true, ..config.clone() };
+        assert_eq!(size(&bordered.working_camera(&camera(640, 480))), (1280, 960));
+        assert_eq!(size(&bordered.working_camera(&camera(1280, 960))), (1280, 960));
         let before = SlamConfig { enlarge_below_px: 0, ..config };
         assert_eq!(size(&before.working_camera(&camera(416, 128))), (416, 128));
     }

@@ -10,14 +10,14 @@ use crate::clock::Stopwatch;
 use crate::config::{ConfigError, SlamConfig, Threading};
 use crate::features::FrameFeatures;
 use crate::input::SceneMask;
-use geometry::nalgebra::UnitQuaternion;
+use geometry::nalgebra::{UnitQuaternion, Vector2};
 use geometry::{Camera, CameraCorrection};
 use line_stage::LineStage;
 use lines::LineFrontEnd;
 use scene_mask::MaskStage;
 use std::sync::Arc;
 use vision::lines::LineTrackingStatistics;
-use vision::mask::Clearance;
+use vision::mask::{Clearance, Mask};
 use vision::scale::BilinearResizer;
 use vision::{GrayImage, OrbExtractor, scale};
 use weak_texture::WeakTexture;
@@ -79,10 +79,16 @@ impl FrontEnd {
     }
 
     fn use_mask(&mut self) {
-        let clearance = self.mask.mask().map(|known| {
-            let mask = known.mask.resized(self.camera.width(), self.camera.height());
-            Arc::new(Clearance::of(&mask))
-        });
+        let (width, height) = (self.camera.width(), self.camera.height());
+        let mask = self.mask.mask().map(|known| known.mask.resized(width, height));
+        // Behind a rim nothing is looked for, and the rest is all there is: how wide an image is decides how
+        // far matches are looked for, and how far a camera has moved.
+        let used = mask
+            .as_ref()
+            .and_then(Mask::used_box)
+            .map(|[low, high]| [low, high].map(|(x, y)| Vector2::new(x, y).cast::<f64>().add_scalar(-0.5)));
+        self.camera = self.camera.with_used_box(used);
+        let clearance = mask.map(|mask| Arc::new(Clearance::of(&mask)));
         self.extractor.set_clearance(clearance.clone());
         if let Some(lines) = &mut self.lines {
             lines.set_clearance(clearance);

@@ -35,6 +35,14 @@ impl Map {
     }
 }
 
+impl Map {
+    /// Takes note of whether the images contradict the calibration.
+    pub(crate) fn set_contradicted(&mut self, is_contradicted: bool) {
+        self.changes.correction |= self.is_contradicted != is_contradicted;
+        self.is_contradicted = is_contradicted;
+    }
+}
+
 /// Fits a vanishing point to its segments as they are now: straight lines that the lens bends lead elsewhere.
 fn fit_again(vanishing: &mut VanishingObservation, features: &FrameFeatures) {
     let planes: Vec<SegmentPlane> =

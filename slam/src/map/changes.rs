@@ -24,8 +24,11 @@ pub struct MapChanges {
     pub primitives: BTreeSet<PrimitiveId>,
     /// Global primitives that were removed.
     pub removed_primitives: BTreeSet<PrimitiveId>,
-    /// Whether [`Map::correction`] is another.
+    /// Whether [`Map::correction`] or [`Map::is_contradicted`] is another.
     pub correction: bool,
+    /// Whether keyframes were made of images that are enlarged for their border
+    /// (`SlamConfig::enlarge_for_border`).
+    pub enlarged: bool,
 }
 
 impl MapChanges {
@@ -40,6 +43,7 @@ impl MapChanges {
             && self.primitives.is_empty()
             && self.removed_primitives.is_empty()
             && !self.correction
+            && !self.enlarged
     }
 
     /// Adds what changed afterwards; what was removed afterwards no longer counts as changed.
@@ -57,6 +61,7 @@ impl MapChanges {
         self.removed_primitives.extend(later.removed_primitives);
         self.primitives.retain(|id| !self.removed_primitives.contains(id));
         self.correction |= later.correction;
+        self.enlarged |= later.enlarged;
     }
 }
 

@@ -51,6 +51,8 @@ pub struct Map {
     next_line_idx: usize,
     next_primitive_idx: usize,
     correction: CameraCorrection,
+    /// Whether the images contradict the calibration.
+    is_contradicted: bool,
     changes: MapChanges,
 }
 
@@ -69,6 +71,8 @@ pub struct MapParts {
     pub removed_keyframes: Vec<RemovedKeyframe>,
     /// How the camera differs from its calibration, as far as the session has found out.
     pub correction: CameraCorrection,
+    /// Whether the images contradict the calibration.
+    pub is_contradicted: bool,
     /// Numbers above which ids are free; ids in use above them are respected too.
     pub last_ids: LastIds,
 }
@@ -175,6 +179,11 @@ impl Map {
     /// How the camera differs from its calibration. All keyframes are of this camera.
     pub fn correction(&self) -> CameraCorrection {
         self.correction
+    }
+
+    /// Whether the images were found to contradict the calibration by more than it may be corrected.
+    pub fn is_contradicted(&self) -> bool {
+        self.is_contradicted
     }
 
     /// The submaps that have keyframes, in order.

@@ -19,6 +19,7 @@ impl Map {
         map.removed_keyframes =
             Arc::new(parts.removed_keyframes.into_iter().map(|gone| (gone.id, gone)).collect());
         map.correction = parts.correction;
+        map.is_contradicted = parts.is_contradicted;
         for mut keyframe in parts.keyframes {
             super::calibration::adapt(&mut keyframe, &parts.correction);
             map.next_keyframe_idx = map.next_keyframe_idx.max(keyframe.id.index() + 1);
@@ -56,6 +57,7 @@ impl Map {
             primitives: self.primitives().cloned().collect(),
             removed_keyframes: self.removed_keyframes().copied().collect(),
             correction: self.correction,
+            is_contradicted: self.is_contradicted,
             last_ids: self.last_ids(),
         }
     }

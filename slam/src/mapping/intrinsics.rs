@@ -68,12 +68,14 @@ pub(super) struct IntrinsicsCheck {
 }
 
 impl IntrinsicsMonitor {
-    pub fn new(config: &CalibrationConfig) -> Self {
+    /// `is_contradicted` is what was known before a restart. Where the calibration may be given up, it is
+    /// looked at again.
+    pub fn new(config: &CalibrationConfig, is_contradicted: bool) -> Self {
         Self {
             next_keyframes: config.first_look(),
             memory: Memory::default(),
             moved_far: false,
-            is_over: false,
+            is_over: is_contradicted && !config.wide,
         }
     }
 
@@ -203,6 +205,11 @@ impl Look<'_> {
             adjusted: None,
             search_again: None,
         };
+        if config.suspected
+            && let Some(contradicted) = self.check_suspected()?
+        {
+            return Some(contradicted);
+        }
         // Fitted to errors of keypoints that are correlated, a camera is less certain than χ² says.
         if held.gain < config.min_gain || !held.moves(&self.map.correction(), config.min_given_sigmas) {
             return Some(nothing);
@@ -243,6 +250,29 @@ impl Look<'_> {
         Some(IntrinsicsCheck { memory: Memory { doubt: Some(doubt), ..Memory::default() }, ..nothing })
     }
 
+    /// Looks at a calibration that is doubtful by its numbers: contradicted if the images, too, agree better
+    /// with another camera, however far that is. `None` within if they do not; `None` if `abort` was set.
+    fn check_suspected(&self) -> Option<Option<IntrinsicsCheck>> {
+        let config = &self.config.calibration;
+        let features = &self.map.keyframes_of(self.submap).next()?.features;
+        let knowledge = config.knowledge_of_size(features);
+        let wide = self.estimate(knowledge, true)?;
+        if wide.image_gain < config.min_gain || squared_distance(&wide, config) < config.gross_contradiction {
+            return Some(None);
+        }
+        if config.wide {
+            let memory = Memory { is_given_up: true, ..Memory::default() };
+            return self.find(knowledge, memory).map(Some);
+        }
+        Some(Some(IntrinsicsCheck {
+            memory: Memory::default(),
+            event: Some(MapEvent::CalibrationContradicted { correction: wide.correction }),
+            is_over: true,
+            adjusted: None,
+            search_again: None,
+        }))
+    }
+
     /// Whether keyframes that it was not fitted to speak for a camera as well: fitted to the others alone it
     /// is much the same, and explains them better than the present one. `None` if `abort` was set meanwhile.
     fn holds_elsewhere(&self, correction: &CameraCorrection) -> Option<bool> {
@@ -262,10 +292,10 @@ impl Look<'_> {
         let aborted = || self.is_aborted();
         let calibration = Calibration::of(self.map, self.submap, knowledge, &self.config.calibration);
         let estimate = calibration.estimate(search, aborted)?;
-        let Estimate { correction, sigmas, inflation, gain, .. } = &estimate;
+        let Estimate { correction, sigmas, inflation, gain, image_gain, .. } = &estimate;
         let (submap, n_keyframes) = (self.submap, self.map.n_keyframes());
         let sigmas = sigmas.as_slice();
-        tracing::debug!(%submap, n_keyframes, ?correction, ?sigmas, inflation, gain, "camera that explains the submap best");
+        tracing::debug!(%submap, n_keyframes, ?correction, ?sigmas, inflation, gain, image_gain, "camera that explains the submap best");
         Some(estimate)
     }
 

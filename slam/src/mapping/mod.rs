@@ -84,7 +84,9 @@ impl Mapper {
         let loops = config.features.loop_closing.then(|| LoopCloser::new(&config));
         let global = GlobalStage::new(config.threading);
         let (recent_points, lines, events) = (Vec::new(), LineMapper::default(), Vec::new());
-        let camera = config.features.refine_calibration.then(|| IntrinsicsMonitor::new(&config.calibration));
+        let is_contradicted = map.is_contradicted();
+        let monitor = || IntrinsicsMonitor::new(&config.calibration, is_contradicted);
+        let camera = config.features.refine_calibration.then(monitor);
         let grown = BTreeSet::new();
         Ok(Self { config, map, recent_points, lines, primitives, loops, global, camera, grown, events })
     }
@@ -263,7 +265,13 @@ impl Mapper {
             None => None,
             Some(Done::Adjusted(result)) => Some(result),
             Some(Done::CheckedIntrinsics(check)) => {
-                self.events.extend(self.camera.as_mut().and_then(|camera| camera.note(&check)));
+                let event = self.camera.as_mut().and_then(|camera| camera.note(&check));
+                match event {
+                    Some(MapEvent::CalibrationContradicted { .. }) => self.map.set_contradicted(true),
+                    Some(MapEvent::CalibrationRefined { .. }) => self.map.set_contradicted(false),
+                    _ => {}
+                }
+                self.events.extend(event);
                 if let Some(result) = check.adjusted {
                     result.merge_into(&mut self.map);
                     if let Some(submap) = check.search_again {
@@ -324,7 +332,8 @@ impl Mapper {
     }
 
     fn update(&mut self, frames: Vec<FrameRecord>) -> MapUpdate {
-        let changes = self.map.take_changes();
+        let mut changes = self.map.take_changes();
+        changes.enlarged = self.config.enlarge_for_border && !changes.keyframes.is_empty();
         debug_assert_eq!(self.map.check(), Ok(()));
         MapUpdate { map: Arc::new(self.map.clone()), changes, frames }
     }

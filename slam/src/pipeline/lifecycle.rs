@@ -18,6 +18,8 @@ use crate::tracking::Tracker;
 use crate::trajectory::TrajectoryLog;
 use geometry::Camera;
 use std::sync::Arc;
+use vision::GrayImage;
+use vision::mask::{Mask, black_border};
 
 impl Pipeline {
     /// A session without a map.
@@ -58,6 +60,7 @@ impl Pipeline {
         let mut tracker = Tracker::new(config.clone(), working_camera, rolling_shutter.clone())?;
         tracker.sync_map(&map);
         let is_empty = map.n_keyframes() == 0;
+        let is_camera_wrong = map.is_contradicted();
         let mut pipeline = Self {
             camera,
             clock,
@@ -72,14 +75,44 @@ impl Pipeline {
             map: Arc::new(map),
             last_frame: state.last_frame,
             last_view: None,
-            is_camera_wrong: false,
+            is_camera_wrong,
             mapping_enabled: true,
             lossless: true,
+            has_resolution: !is_empty,
             rolling_shutter,
             config,
         };
         pipeline.choose_n_features();
         Ok(pipeline)
+    }
+
+    /// With the first image that shows something, before there is a map: decides whether a border leaves so
+    /// little of the images that they are worked on enlarged, as small ones are.
+    pub(super) fn choose_resolution(&mut self, image: &GrayImage) {
+        if self.has_resolution {
+            return;
+        }
+        let border = black_border(image);
+        let given = self.mask().map(|known| known.mask.resized(image.width(), image.height()));
+        let used = Mask::from_fn(image.width(), image.height(), |x, y| {
+            border.leaves_out(x, y) || given.as_ref().is_some_and(|given| given.leaves_out(x, y))
+        });
+        let Some([(left, top), (right, bottom)]) = used.used_box() else { return };
+        self.has_resolution = true;
+        let is_enlarged = self.config.is_enlarged_for(&self.camera, (right - left) * (bottom - top));
+        if !is_enlarged || self.config.enlarge_for_border || self.map.n_keyframes() > 0 {
+            return;
+        }
+        let config = SlamConfig { enlarge_for_border: true, ..self.config.clone() };
+        let (last_frame, mask) = (self.last_frame, self.mask().cloned());
+        let state = ResumeState { last_frame, mask, ..ResumeState::default() };
+        match Self::resume(config, self.camera.clone(), self.clock.clone(), state) {
+            Ok(anew) => {
+                let (mapping_enabled, lossless) = (self.mapping_enabled, self.lossless);
+                *self = Self { mapping_enabled, lossless, has_resolution: true, ..anew };
+            }
+            Err(error) => tracing::warn!(%error, "images are worked on as they are"),
+        }
     }
 
     /// The map updates that are ready to be stored, oldest first. Call after each frame.

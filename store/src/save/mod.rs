@@ -10,7 +10,9 @@ mod rows;
 use crate::number::to_column;
 use crate::pose::finite_pose_columns;
 use crate::segments::Segments;
-use crate::session::{SessionCounts, read_session, state_column, write_correction, write_progress};
+use crate::session::{
+    SessionCounts, read_session, state_column, write_correction, write_enlarged, write_progress,
+};
 use crate::{Store, StoreError};
 use rows::MultiRow;
 pub(crate) use rows::id_list;
@@ -127,7 +129,10 @@ async fn write_update(
     landmarks::write::<LineLandmark>(transaction, number, update).await?;
     primitives::write_primitives(transaction, number, update).await?;
     if update.changes.correction {
-        write_correction(transaction, number, &update.map.correction()).await?;
+        write_correction(transaction, number, &update.map.correction(), update.map.is_contradicted()).await?;
+    }
+    if update.changes.enlarged {
+        write_enlarged(transaction, number).await?;
     }
     let n_new_frames = write_frames(transaction, number, &update.frames, &segments).await?;
 

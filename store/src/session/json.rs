@@ -73,9 +73,6 @@ struct CameraJson {
     distortion: Vec<f64>,
 }
 
-const MODELS: [CameraModel; 4] =
-    [CameraModel::Pinhole, CameraModel::Radtan, CameraModel::KannalaBrandt, CameraModel::Fov];
-
 pub(super) fn encode_camera(camera: &CameraParameters) -> Result<String, StoreError> {
     let numbers = [camera.fx, camera.fy, camera.cx, camera.cy];
     if !numbers.iter().chain(&camera.distortion).all(|value| value.is_finite()) {
@@ -95,7 +92,7 @@ pub(super) fn encode_camera(camera: &CameraParameters) -> Result<String, StoreEr
 
 pub(crate) fn decode_camera(text: &str) -> Result<CameraParameters, StoreError> {
     let CameraJson { model, width, height, fx, fy, cx, cy, distortion } = decode("camera", text)?;
-    let model = MODELS
+    let model = CameraModel::ALL
         .into_iter()
         .find(|known| known.name() == model)
         .ok_or_else(|| StoreError::Corrupt(format!("a camera is of the unknown model {model:?}")))?;

@@ -39,11 +39,15 @@ pub struct SessionRecord {
     pub camera: CameraParameters,
     /// How that camera differs from what was given, as far as the session has found out.
     pub correction: CameraCorrection,
+    /// Whether the images were found to contradict the camera as it was given.
+    pub is_contradicted: bool,
     /// The session's options.
     pub options: SessionOptions,
     /// Whether small images are worked on enlarged (`SlamConfig::enlarge_below_px`): not in sessions that
     /// were made before that was done, whose keyframes hold the pixels of images as they were.
     pub enlarges_small_images: bool,
+    /// Whether images are worked on enlarged for their border (`SlamConfig::enlarge_for_border`).
+    pub enlarges_for_border: bool,
     /// What of its images is left out as not being the scene, if anything is.
     pub mask: Option<MaskShare>,
     /// Wall-clock time of creation, nanoseconds since 1970.
@@ -303,8 +307,10 @@ pub(crate) fn parse_session(row: &SqliteRow) -> Result<(i64, SessionRecord), Sto
             k1: row.try_get("k1_correction")?,
             k2: row.try_get("k2_correction")?,
         },
+        is_contradicted: row.try_get("calibration_contradicted")?,
         options: json::decode_options(row.try_get("options")?)?,
         enlarges_small_images: row.try_get("enlarges_small_images")?,
+        enlarges_for_border: row.try_get("enlarges_for_border")?,
         mask: match row.try_get("mask_share")? {
             Some(share) => Some(MaskShare { share, is_given: row.try_get("mask_given")? }),
             None => None,
@@ -359,11 +365,24 @@ pub(crate) async fn write_progress(
     Ok(())
 }
 
-/// Writes how the session's camera differs from its calibration.
+/// Notes that the keyframes are of images enlarged for their border.
+pub(crate) async fn write_enlarged(
+    transaction: &mut SqliteConnection,
+    number: i64,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE sessions SET enlarges_for_border = TRUE WHERE number = ?")
+        .bind(number)
+        .execute(transaction)
+        .await?;
+    Ok(())
+}
+
+/// Writes how the session's camera differs from its calibration, and whether the images contradict it.
 pub(crate) async fn write_correction(
     connection: &mut SqliteConnection,
     number: i64,
     correction: &CameraCorrection,
+    is_contradicted: bool,
 ) -> Result<(), StoreError> {
     let CameraCorrection { focal, center_x, center_y, k1, k2 } = *correction;
     if ![focal, center_x, center_y, k1, k2].iter().all(|value| value.is_finite()) {
@@ -371,13 +390,14 @@ pub(crate) async fn write_correction(
     }
     sqlx::query(
         "UPDATE sessions SET focal_correction = ?, centre_x_correction = ?, centre_y_correction = ?,
-         k1_correction = ?, k2_correction = ? WHERE number = ?",
+         k1_correction = ?, k2_correction = ?, calibration_contradicted = ? WHERE number = ?",
     )
     .bind(focal)
     .bind(center_x)
     .bind(center_y)
     .bind(k1)
     .bind(k2)
+    .bind(is_contradicted)
     .bind(number)
     .execute(connection)
     .await?;

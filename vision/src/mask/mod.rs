@@ -3,6 +3,7 @@
 //! A [`Mask`] says which pixels are left out, given by somebody or found by a [`MaskFinder`] as what stays
 //! where it is while the scene moves. Features are kept away from it by its [`Clearance`].
 
+mod border;
 mod clearance;
 mod evidence;
 mod finder;
@@ -13,6 +14,7 @@ mod small;
 #[cfg(test)]
 mod tests;
 
+pub use border::black_border;
 pub use clearance::Clearance;
 pub use finder::{MaskFinder, MaskFinderConfig};
 
@@ -65,6 +67,21 @@ impl Mask {
     pub fn share(&self) -> f64 {
         let n_left_out = self.picture.as_raw().iter().filter(|value| **value == 0).count();
         n_left_out as f64 / (self.picture.as_raw().len().max(1)) as f64
+    }
+
+    /// First column and row of the smallest box that holds all that is not left out, and the first behind it;
+    /// `None` if everything is left out.
+    pub fn used_box(&self) -> Option<[(u32, u32); 2]> {
+        let is_used = |y: u32| self.picture.row(y).iter().any(|value| *value != 0);
+        let top = (0..self.height()).find(|y| is_used(*y))?;
+        let bottom = (top..self.height()).rev().find(|y| is_used(*y))?;
+        let (mut left, mut right) = (self.width(), 0);
+        for row in (top..=bottom).map(|y| self.picture.row(y)) {
+            let Some(first) = row.iter().position(|value| *value != 0) else { continue };
+            let last = row.iter().rposition(|value| *value != 0).unwrap_or(first);
+            (left, right) = (left.min(first as u32), right.max(last as u32 + 1));
+        }
+        Some([(left, top), (right, bottom + 1)])
     }
 
     /// The same for images of another size: a pixel is left out if the nearest one is.

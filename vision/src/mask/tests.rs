@@ -153,3 +153,20 @@ fn masks_come_back_from_few_bytes() {
     }
     assert_eq!(Mask::from_bytes(&[255; 64]), None);
 }
+
+#[test]
+fn a_black_border_is_told_by_one_image_and_a_dark_scene_is_none() {
+    let lens = |x: u32, y: u32| (f64::from(x) - 160.0).hypot(f64::from(y) - 120.0) > 90.0;
+    let image = GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| if lens(x, y) { 3 } else { scene(x, y, (0, 0)) });
+    let border = black_border(&image);
+    let [(left, top), (right, bottom)] = border.used_box().unwrap();
+    assert!((68..=72).contains(&left) && (248..=252).contains(&right), "{left} to {right}");
+    assert!((28..=32).contains(&top) && (208..=212).contains(&bottom), "{top} to {bottom}");
+    // A lamp in the dark fades away; a black picture has no rim.
+    let lamp = |x: u32, y: u32| (f64::from(x) - 160.0).hypot(f64::from(y) - 120.0);
+    let fading = GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| (200.0 - 1.6 * lamp(x, y)).max(2.0) as u8);
+    assert_eq!(black_border(&fading).share(), 0.0);
+    assert_eq!(black_border(&GrayImage::new(SIZE.0, SIZE.1)).share(), 0.0);
+    assert_eq!(Mask::from_fn(8, 4, |_, _| true).used_box(), None);
+    assert_eq!(Mask::from_fn(8, 4, |x, y| x < 2 || y > 2).used_box(), Some([(2, 0), (8, 3)]));
+}

@@ -11,6 +11,7 @@ use recordings::{
     Bag, CameraOfSize, Ffmpeg, FileError, FrameImage, FrameReader, FrameTimes, GrayReader, Layout,
     OpenOptions, Recording, TimeUnit, VideoInput, find_folder, read_calibration, read_pipe,
 };
+use vision::decode::{DecodeLimits, decode_alpha};
 
 /// The word for a camera whose calibration nobody knows.
 const UNKNOWN: &str = "unknown";
@@ -115,7 +116,7 @@ impl Input {
 pub fn open(args: &InputArgs, fps: Option<f64>) -> Result<Input> {
     let mut input = open_any(args, fps)?;
     input.is_approximate = args.fov.is_some();
-    input.mask = mask(args)?;
+    input.mask = mask(args)?.or_else(|| transparent_first(&*input.source));
     let warnings = if server::is_of_size_alone(&input.camera) {
         Vec::new()
     } else {
@@ -137,6 +138,15 @@ fn mask(args: &InputArgs) -> Result<Option<Vec<u8>>> {
     let Some(path) = args.mask.clone().or_else(beside) else { return Ok(None) };
     let file = std::fs::read(&path).with_context(|| format!("{}", path.display()))?;
     Ok(Some(file))
+}
+
+/// The file of the first image, if some of it is transparent: of a camera whose images were cut out.
+fn transparent_first(source: &dyn FrameSource) -> Option<Vec<u8>> {
+    if source.is_live() {
+        return None;
+    }
+    let image = source.frame(0).ok()??.image;
+    decode_alpha(&image.data, &DecodeLimits::default()).map(|_| image.data.to_vec())
 }
 
 fn open_any(args: &InputArgs, fps: Option<f64>) -> Result<Input> {

@@ -21,6 +21,8 @@ _MODELS = {
     model.CameraModel.RADTAN: pb.CAMERA_MODEL_RADTAN,
     model.CameraModel.KANNALA_BRANDT: pb.CAMERA_MODEL_KANNALA_BRANDT,
     model.CameraModel.FOV: pb.CAMERA_MODEL_FOV,
+    model.CameraModel.EXTENDED_UNIFIED: pb.CAMERA_MODEL_EXTENDED_UNIFIED,
+    model.CameraModel.DOUBLE_SPHERE: pb.CAMERA_MODEL_DOUBLE_SPHERE,
 }
 _MODEL_OF = {number: kind for kind, number in _MODELS.items()}
 _OPTIONS = [

@@ -26,6 +26,10 @@ class CameraModel(Enum):
     """Equidistant fisheye: k1 k2 k3 k4."""
     FOV = "fov"
     """Devernay-Faugeras field of view: omega."""
+    EXTENDED_UNIFIED = "eucm"
+    """Extended unified model: alpha beta; with beta = 1 the unified model."""
+    DOUBLE_SPHERE = "double-sphere"
+    """Double sphere: xi alpha."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@
 //! the corner of the top-left pixel, the map's its center, so everything in pixels moves by half a pixel.
 
 use super::{ColmapPart, Export};
-use crate::error::ApiError;
+use crate::error::{ApiError, ErrorCode};
 use crate::options::working_camera;
 use geometry::{CameraModel, CameraParameters};
 use slam::map::KeyframeId;
@@ -20,7 +20,7 @@ const NO_ERROR: &str = "-1";
 pub(super) async fn write(export: &mut Export, part: ColmapPart) -> Result<(), ApiError> {
     match part {
         ColmapPart::Cameras => {
-            let camera = camera_line(&export.camera());
+            let camera = camera_line(&export.camera())?;
             let head = "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n";
             export.out.write(head).await?;
             export.out.write(&camera).await
@@ -30,7 +30,7 @@ pub(super) async fn write(export: &mut Export, part: ColmapPart) -> Result<(), A
     }
 }
 
-fn camera_line(camera: &CameraParameters) -> String {
+fn camera_line(camera: &CameraParameters) -> Result<String, ApiError> {
     let CameraParameters { model, width, height, fx, fy, cx, cy, distortion } = camera;
     let mut coefficients = distortion.clone();
     let name = match model {
@@ -45,6 +45,10 @@ fn camera_line(camera: &CameraParameters) -> String {
         }
         CameraModel::KannalaBrandt => "OPENCV_FISHEYE",
         CameraModel::Fov => "FOV",
+        CameraModel::ExtendedUnified | CameraModel::DoubleSphere => {
+            let sentence = format!("COLMAP has no model for a lens such as {}", model.name());
+            return Err(ApiError::new(ErrorCode::InvalidArgument, sentence));
+        }
     };
     let (cx, cy) = (cx + HALF_PIXEL, cy + HALF_PIXEL);
     let mut line = format!("1 {name} {width} {height} {fx} {fy} {cx} {cy}");
@@ -52,7 +56,7 @@ fn camera_line(camera: &CameraParameters) -> String {
         let _ = write!(line, " {coefficient}");
     }
     line.push('\n');
-    line
+    Ok(line)
 }
 
 /// Which point each keypoint sees, by keyframe.
@@ -152,7 +156,7 @@ mod tests {
             cy: 239.0,
             distortion: distortion.to_vec(),
         };
-        let line = |model, distortion: &[f64]| camera_line(&camera(model, distortion));
+        let line = |model, distortion: &[f64]| camera_line(&camera(model, distortion)).unwrap();
         assert_eq!(line(CameraModel::Pinhole, &[]), "1 PINHOLE 640 480 500 501.5 320 239.5\n");
         let opencv = "1 OPENCV 640 480 500 501.5 320 239.5 0.1 -0.2 0 0.001\n";
         assert_eq!(line(CameraModel::Radtan, &[0.1, -0.2, 0.0, 0.001]), opencv);
@@ -160,5 +164,6 @@ mod tests {
         assert_eq!(full, "1 FULL_OPENCV 640 480 500 501.5 320 239.5 0.1 -0.2 0 0.001 3 0 0 0\n");
         assert!(line(CameraModel::Fov, &[0.9]).starts_with("1 FOV "));
         assert!(line(CameraModel::KannalaBrandt, &[0.0; 4]).starts_with("1 OPENCV_FISHEYE "));
+        assert!(camera_line(&camera(CameraModel::DoubleSphere, &[-0.2, 0.6])).is_err());
     }
 }

@@ -238,6 +238,8 @@ pub(super) fn camera_calibration(timestamp_ns: u64, frame: &str, camera: &Camera
         CameraModel::Radtan => ("rational_polynomial", 8),
         CameraModel::KannalaBrandt => ("equidistant", 4),
         CameraModel::Fov => ("fov", 1),
+        CameraModel::ExtendedUnified => ("eucm", 2),
+        CameraModel::DoubleSphere => ("ds", 2),
     };
     let mut coefficients = distortion.clone();
     coefficients.resize(n_coefficients, 0.0);

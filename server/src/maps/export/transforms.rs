@@ -53,7 +53,7 @@ fn camera_fields(camera: &CameraParameters) -> Result<Map<String, Value>, ApiErr
             &[("k1", 0), ("k2", 1), ("p1", 2), ("p2", 3), ("k3", 4)]
         }
         CameraModel::KannalaBrandt => &[("k1", 0), ("k2", 1), ("k3", 2), ("k4", 3)],
-        CameraModel::Radtan | CameraModel::Fov => {
+        _ => {
             let sentence = "transforms.json has no words for this lens: it knows pinhole, radtan of up to five \
                             coefficients and kannala-brandt. Undistort the images, or take COLMAP's model";
             return Err(ApiError::new(ErrorCode::InvalidArgument, sentence));

@@ -14,14 +14,15 @@
 //! | `--engine-seed N` | the engine's random numbers; otherwise the sequence's seed |
 //! | `--no-loops`, `--no-lines`, `--no-primitives` | switches features off |
 //! | `--no-calibration` | takes the calibration as it is given |
-//! | `--focal-error SHARE`, `--center-error SHARE` | gives a wrong calibration: the focal length too long, the principal point too far to the right, as shares of the focal length |
+//! | `--focal-error SHARE`, `--centre-error SHARE` | gives a wrong calibration: the focal length too long, the principal point too far to the right, as shares of the focal length |
 //! | `--runs N` | every seed with so many of the engine's; the table shows the medians |
 //! | `--compare-primitives` | runs every seed without and with primitives, and prints a table of both |
+//! | `--compare-calibration` | runs every seed with the calibration as given and with self-calibration, and prints a table of both |
 //! | `--segments` | only prints how far segments lie from the true edges |
 //! | `--directions` | prints primitives and their segments against the truth |
 //! | `--flow` | prints by how much sightings run ahead of their true motion, or lag behind it |
 //! | `--spans` | prints what the stages of local bundle adjustment take |
-//! | `--relocalize CONTRAST` | then looks for single frames of that contrast in the map |
+//! | `--relocalise CONTRAST` | then looks for single frames of that contrast in the map |
 //! | `--verbose` | a line a frame |
 //! | `--out FILE` | the trajectory as a TUM file |
 //! | `--truth FILE` | the true trajectory as a TUM file |
@@ -75,15 +76,26 @@ fn main() -> Result<(), Box<dyn Error>> {
     if arguments.flag("--segments") {
         return seeds.iter().try_for_each(|seed| segments_of(preset, *seed, &arguments));
     }
-    let with_primitives = !arguments.flag("--no-primitives");
-    if arguments.flag("--compare-primitives") {
+    let switches = Switches {
+        primitives: !arguments.flag("--no-primitives"),
+        calibration: !arguments.flag("--no-calibration"),
+    };
+    let pairs = |without: Switches, with: Switches| {
         let pair = |seed: &u64| {
-            Ok([runs(preset, *seed, false, &arguments)?, runs(preset, *seed, true, &arguments)?])
+            Ok([runs(preset, *seed, without, &arguments)?, runs(preset, *seed, with, &arguments)?])
         };
-        let rows = seeds.iter().map(pair).collect::<Result<Vec<_>, Box<dyn Error>>>()?;
+        seeds.iter().map(pair).collect::<Result<Vec<_>, Box<dyn Error>>>()
+    };
+    if arguments.flag("--compare-primitives") {
+        let rows =
+            pairs(Switches { primitives: false, ..switches }, Switches { primitives: true, ..switches })?;
         table::print_comparison(preset, &seeds, &rows);
+    } else if arguments.flag("--compare-calibration") {
+        let rows =
+            pairs(Switches { calibration: false, ..switches }, Switches { calibration: true, ..switches })?;
+        table::print_calibrations(preset, &seeds, &rows);
     } else {
-        let row = |seed: &u64| runs(preset, *seed, with_primitives, &arguments);
+        let row = |seed: &u64| runs(preset, *seed, switches, &arguments);
         let rows = seeds.iter().map(row).collect::<Result<Vec<_>, _>>()?;
         if seeds.len() > 1 {
             table::print_table(preset, &seeds, &rows);
@@ -95,6 +107,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
+/// What the comparisons switch off.
+#[derive(Clone, Copy)]
+struct Switches {
+    primitives: bool,
+    calibration: bool,
+}
+
 fn segments_of(preset: Preset, seed: u64, arguments: &Arguments) -> Result<(), Box<dyn Error>> {
     let recording = recorded(preset, seed, arguments)?;
     let n_frames = arguments.value("--frames").map_or(Ok(recording.len()), |n| n.parse())?;
@@ -104,15 +123,10 @@ fn segments_of(preset: Preset, seed: u64, arguments: &Arguments) -> Result<(), B
 }
 
 /// One sequence, as often as was asked for.
-fn runs(
-    preset: Preset,
-    seed: u64,
-    with_primitives: bool,
-    arguments: &Arguments,
-) -> Result<Row, Box<dyn Error>> {
+fn runs(preset: Preset, seed: u64, switches: Switches, arguments: &Arguments) -> Result<Row, Box<dyn Error>> {
     let n_runs: u64 = arguments.value("--runs").map_or(Ok(1), |n| n.parse())?;
     let first = arguments.value("--engine-seed").map_or(Ok(seed), |seed| seed.parse())?;
-    let rows = (0..n_runs.max(1)).map(|run| track(preset, seed, first + run, with_primitives, arguments));
+    let rows = (0..n_runs.max(1)).map(|run| track(preset, seed, first + run, switches, arguments));
     Ok(Row::median_of(rows.collect::<Result<_, _>>()?))
 }
 
@@ -144,7 +158,7 @@ fn track(
     preset: Preset,
     seed: u64,
     engine_seed: u64,
-    with_primitives: bool,
+    switches: Switches,
     arguments: &Arguments,
 ) -> Result<Row, Box<dyn Error>> {
     let flag = |name: &str| arguments.flag(name);
@@ -153,9 +167,9 @@ fn track(
     let mut config = SlamConfig { seed: engine_seed, ..SlamConfig::default() };
     config.threading = if flag("--inline") { Threading::Inline } else { Threading::Background };
     config.features.loop_closing = !flag("--no-loops");
-    config.features.refine_calibration = !flag("--no-calibration");
+    config.features.refine_calibration = switches.calibration;
     config.features.lines = !flag("--no-lines");
-    config.features.global_primitives = with_primitives;
+    config.features.global_primitives = switches.primitives;
     config.rolling_shutter.readout_ns = told_readout_ns(arguments)?;
     let clock = Arc::new(WallClock::start());
     let mut camera = given_camera(recording.camera(), arguments)?;
@@ -205,6 +219,7 @@ fn track(
     }
     let revisit = Revisit::of(&map, &recording, n_frames);
     let (n_loops, n_merges) = (run.n_loops, run.n_merges);
+    let run_camera = run.camera;
     print_camera(recording.camera(), &nominal.with_correction(map.correction()));
     run.print(&map);
     places.print(&recording, n_shown);
@@ -231,6 +246,7 @@ fn track(
         revisit,
         ate_share: score.as_ref().map(|score| score.ate / score.path),
         drift_deg: score.as_ref().map(|score| score.rotation_drift_deg),
+        camera: run_camera,
     })
 }
 

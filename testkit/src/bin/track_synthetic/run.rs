@@ -13,6 +13,9 @@ pub struct Run {
     n_relocalized: usize,
     pub n_loops: usize,
     pub n_merges: usize,
+    /// The last change of the camera that was told: of the focal length, as a share of it, and its standard
+    /// deviation.
+    pub camera: Option<[f64; 2]>,
     cpu_ms: Vec<f64>,
     wall_ms: Vec<f64>,
     /// Taking over the newest map, corrections among it.
@@ -27,9 +30,10 @@ impl Run {
             match event {
                 MapEvent::LoopClosed { .. } => self.n_loops += 1,
                 MapEvent::SubmapsMerged { .. } => self.n_merges += 1,
-                MapEvent::CalibrationRefined { .. }
-                | MapEvent::CalibrationContradicted { .. }
-                | MapEvent::CalibrationUndetermined { .. } => {}
+                MapEvent::CalibrationRefined { correction, focal_sigma } => {
+                    self.camera = Some([correction.focal, *focal_sigma]);
+                }
+                MapEvent::CalibrationContradicted { .. } | MapEvent::CalibrationUndetermined { .. } => {}
             }
         }
         self.cpu_ms.push(report.cpu_ns as f64 * 1e-6);

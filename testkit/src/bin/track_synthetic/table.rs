@@ -16,6 +16,9 @@ pub struct Row {
     pub ate_share: Option<f64>,
     /// Turn from the first frame to the last, degrees.
     pub drift_deg: Option<f64>,
+    /// What was told of the camera last: change of its focal length, as a share of it, and standard
+    /// deviation.
+    pub camera: Option<[f64; 2]>,
 }
 
 impl Row {
@@ -94,6 +97,35 @@ pub fn print_comparison(preset: Preset, seeds: &[u64], rows: &[[Row; 2]]) {
         print(&seed.to_string(), *row);
     }
     print("median", std::array::from_fn(|column| median(rows.iter().map(|row| row[column]).collect())));
+}
+
+/// The calibration as given beside self-calibration. Where it is true, a change is an error.
+pub fn print_calibrations(preset: Preset, seeds: &[u64], rows: &[[Row; 2]]) {
+    println!(
+        "\n| {}, seed | ATE as given | refined | change | focal length changed by | in standard deviations |",
+        preset.name()
+    );
+    println!("| ---: | ---: | ---: | ---: | ---: | ---: |");
+    let (mut changes, mut n_changed, mut worst) = (Vec::new(), 0, 0.0f64);
+    for (seed, [given, refined]) in seeds.iter().zip(rows) {
+        let [a, b] = [given, refined].map(|row| row.ate_share.map_or(f64::NAN, |share| 100.0 * share));
+        changes.push(100.0 * (b / a - 1.0));
+        let change = 100.0 * (b / a - 1.0);
+        print!("| {seed} | {a:.3} % | {b:.3} % | {change:+.1} % |");
+        match refined.camera {
+            None => println!(" - | - |"),
+            Some([focal, sigma]) => {
+                (n_changed, worst) = (n_changed + 1, worst.max((focal / sigma).abs()));
+                println!(" {:+.2} % | {:.1} |", 100.0 * focal, (focal / sigma).abs());
+            }
+        }
+    }
+    println!(
+        "\n{n_changed} of {} calibrations were changed, by at most {worst:.1} standard deviations; ATE changes by {:+.1} % in the \
+         median.",
+        rows.len(),
+        median(changes)
+    );
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

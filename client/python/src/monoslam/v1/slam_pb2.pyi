@@ -14,6 +14,8 @@ class CameraModel(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     CAMERA_MODEL_RADTAN: _ClassVar[CameraModel]
     CAMERA_MODEL_KANNALA_BRANDT: _ClassVar[CameraModel]
     CAMERA_MODEL_FOV: _ClassVar[CameraModel]
+    CAMERA_MODEL_EXTENDED_UNIFIED: _ClassVar[CameraModel]
+    CAMERA_MODEL_DOUBLE_SPHERE: _ClassVar[CameraModel]
 
 class Calibration(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -102,6 +104,8 @@ CAMERA_MODEL_PINHOLE: CameraModel
 CAMERA_MODEL_RADTAN: CameraModel
 CAMERA_MODEL_KANNALA_BRANDT: CameraModel
 CAMERA_MODEL_FOV: CameraModel
+CAMERA_MODEL_EXTENDED_UNIFIED: CameraModel
+CAMERA_MODEL_DOUBLE_SPHERE: CameraModel
 CALIBRATION_UNSPECIFIED: Calibration
 CALIBRATION_GIVEN: Calibration
 CALIBRATION_APPROXIMATE: Calibration
