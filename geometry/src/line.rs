@@ -277,9 +277,17 @@ pub fn triangulate_with_direction(views: &[(Pose, Vector3<f64>)], direction: &Di
 pub struct OrthonormalLine {
     rotation: UnitQuaternion<f64>,
     angle: f64,
+    /// `(w₁, w₂)`, the cosine and sine of `angle`: asked for by every observation.
+    weights: (f64, f64),
 }
 
 impl OrthonormalLine {
+    #[inline]
+    fn new(rotation: UnitQuaternion<f64>, angle: f64) -> Self {
+        let (sin, cos) = angle.sin_cos();
+        Self { rotation, angle, weights: (cos, sin) }
+    }
+
     /// `None` if the line passes through the origin.
     pub fn from_line(line: &Line3) -> Option<Self> {
         let distance = line.moment.norm();
@@ -288,13 +296,13 @@ impl OrthonormalLine {
         let mut rotation = Pose::from_rotation_matrix(&u, &Vector3::zeros()).rotation;
         rotation.renormalize();
         // The unit direction has weight one.
-        Some(Self { rotation, angle: 1.0_f64.atan2(distance) })
+        Some(Self::new(rotation, 1.0_f64.atan2(distance)))
     }
 
     /// `None` if the line has been moved to infinity.
     pub fn to_line(&self) -> Option<Line3> {
         let u = self.columns();
-        let (w2, w1) = self.angle.sin_cos();
+        let (w1, w2) = self.weights;
         Line3::from_pluecker(&(u[0] * w1), &(u[1] * w2))
     }
 
@@ -309,7 +317,7 @@ impl OrthonormalLine {
     pub fn retract(&self, delta: &Vector4<f64>) -> Self {
         let mut rotation = self.rotation * so3::exp(&delta.xyz());
         rotation.renormalize();
-        Self { rotation, angle: self.angle + delta.w }
+        Self::new(rotation, self.angle + delta.w)
     }
 
     /// The `delta` with `self.retract(delta)` the same line as `other`, the shorter one of the two that the
@@ -334,15 +342,29 @@ impl OrthonormalLine {
     #[inline]
     pub fn pluecker(&self) -> (Vector3<f64>, Vector3<f64>) {
         let u = self.columns();
-        let (w2, w1) = self.angle.sin_cos();
+        let (w1, w2) = self.weights;
         (u[0] * w1, u[1] * w2)
+    }
+
+    /// The derivative of `moment · n + direction · v`, with `n` and `v` as of [`pluecker`](Self::pluecker), by
+    /// the tangent vector: a row of a matrix times [`jacobian`](Self::jacobian), without its zeros.
+    #[inline]
+    pub fn derivative(&self, by_moment: &Vector3<f64>, by_direction: &Vector3<f64>) -> Vector4<f64> {
+        let [u1, u2, u3] = self.columns();
+        let (w1, w2) = self.weights;
+        Vector4::new(
+            w2 * by_direction.dot(&u3),
+            -w1 * by_moment.dot(&u3),
+            w1 * by_moment.dot(&u2) - w2 * by_direction.dot(&u1),
+            w1 * by_direction.dot(&u2) - w2 * by_moment.dot(&u1),
+        )
     }
 
     /// The derivative of [`pluecker`](Self::pluecker), moment first, by the tangent vector.
     #[inline]
     pub fn jacobian(&self) -> SMatrix<f64, 6, 4> {
         let [u1, u2, u3] = self.columns();
-        let (w2, w1) = self.angle.sin_cos();
+        let (w1, w2) = self.weights;
         let mut jacobian = SMatrix::<f64, 6, 4>::zeros();
         jacobian.fixed_view_mut::<3, 1>(0, 1).copy_from(&(u3 * -w1));
         jacobian.fixed_view_mut::<3, 1>(0, 2).copy_from(&(u2 * w1));

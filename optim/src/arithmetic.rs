@@ -30,6 +30,12 @@ impl Arithmetic for Portable {
     }
 }
 
+/// Makes a closure that takes it one that can be called only once. One that could be called again is called by a
+/// function that nothing tells the compiler to inline: where the body is large, it was compiled without the
+/// instructions it was meant for, and every fused multiplication became a call of a library.
+#[cfg(target_arch = "x86_64")]
+pub(crate) struct Once;
+
 /// `vectorized!(A => expression)`: the expression, with `A` the [`Arithmetic`] of this processor. What it
 /// inlines is compiled with AVX2 and FMA as well, and that is run where the processor has them.
 #[cfg(target_arch = "x86_64")]
@@ -38,9 +44,13 @@ macro_rules! vectorized {
         match pulp::x86::V3::try_new() {
             Some(instructions) => {
                 type $A = $crate::arithmetic::Fused;
+                let once = $crate::arithmetic::Once;
                 instructions.vectorize(
                     #[inline(always)]
-                    || $body,
+                    || {
+                        let _called = once;
+                        $body
+                    },
                 )
             }
             None => {

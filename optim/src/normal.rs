@@ -15,16 +15,12 @@ pub(crate) struct NormalEquations {
 }
 
 impl NormalEquations {
+    /// All zeros, of the given lengths.
     pub(crate) fn resize(&mut self, n_blocks: usize, n_gradient: usize) {
         self.blocks.clear();
         self.blocks.resize(n_blocks, 0.0);
         self.gradient.clear();
         self.gradient.resize(n_gradient, 0.0);
-    }
-
-    pub(crate) fn clear(&mut self) {
-        self.blocks.fill(0.0);
-        self.gradient.fill(0.0);
     }
 
     /// Adds `(w J)ᵀ J` and `(w J)ᵀ r` at a variable's place.

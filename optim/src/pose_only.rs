@@ -132,8 +132,9 @@ pub trait Accumulate<T, const N: usize> {
 
 /// A group of unary factors of `T`, whatever the factor's type; implemented by [`UnaryGroup`].
 pub trait UnaryTerms<T, const N: usize>: Accumulate<T, N> {
-    /// Judges every factor at `value` and returns the number of inliers.
-    fn classify(&mut self, value: &T) -> usize;
+    /// Judges every factor at `value`; returns the number of inliers, and whether any is judged otherwise than
+    /// before.
+    fn classify(&mut self, value: &T) -> (usize, bool);
 }
 
 #[expect(private_interfaces, reason = "sealed: only this crate can call these functions")]
@@ -184,19 +185,22 @@ where
     F: Factor<Residual = SVector<f64, R>, Variables = (T,)>,
     T: Manifold<Tangent = SVector<f64, N>>,
 {
-    fn classify(&mut self, value: &T) -> usize {
+    fn classify(&mut self, value: &T) -> (usize, bool) {
+        let mut changed = false;
         for (factor, inlier) in self.factors.iter().zip(&mut self.inliers) {
-            *inlier =
-                factor.residual((value,)).is_some_and(|residual| residual.squared_norm() <= self.max_chi2);
+            let residual = factor.residual((value,));
+            let now = residual.is_some_and(|residual| residual.squared_norm() <= self.max_chi2);
+            changed |= now != *inlier;
+            *inlier = now;
         }
-        self.n_inliers()
+        (self.n_inliers(), changed)
     }
 }
 
 /// How [`optimize_single`] iterates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SingleOptions {
-    /// Rounds of solving and judging. Default 4, as is customary for tracking.
+    /// Rounds of solving and judging, at most. Default 4, as is customary for tracking.
     pub n_rounds: usize,
     /// The first so many rounds use the groups' kernels, the rest plain least squares. Default 2.
     pub n_robust_rounds: usize,
@@ -287,9 +291,17 @@ where
     for round in 0..options.n_rounds {
         let robust = round < options.n_robust_rounds;
         report.stop = run_round(groups, robust, options, &mut report);
-        report.n_inliers = groups.iter_mut().map(|group| group.classify(&report.value)).sum();
+        let mut changed = false;
+        report.n_inliers = 0;
+        for group in groups.iter_mut() {
+            let (n_inliers, group_changed) = group.classify(&report.value);
+            report.n_inliers += n_inliers;
+            changed |= group_changed;
+        }
+        // A further round would begin where this one ended, with the same factors under the same kernels.
+        let settled = !robust && !changed;
         let hopeless = matches!(report.stop, StopReason::NonFinite | StopReason::NothingToSolve);
-        if hopeless || report.n_inliers < options.min_inliers {
+        if hopeless || settled || report.n_inliers < options.min_inliers {
             break;
         }
     }

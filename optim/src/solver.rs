@@ -148,7 +148,7 @@ impl Problem {
     pub fn solve(&mut self, options: &SolverOptions, abort: impl Fn() -> bool) -> SolveReport {
         self.ensure_system(options.linear_solver);
         self.reset_trial();
-        let initial = self.cost_at(Side::Current);
+        let (initial, gradient) = self.linearize();
         let mut lambda = Lambda::new(options.initial_lambda);
         let mut report = SolveReport {
             initial,
@@ -162,7 +162,13 @@ impl Problem {
             lambda: lambda.value,
             stop: StopReason::IterationLimit,
         };
-        report.stop = self.iterate(options, &abort, &mut lambda, &mut report);
+        report.stop = if report.n_free_dims == 0 || initial.n_residuals + initial.n_invalid == 0 {
+            StopReason::NothingToSolve
+        } else if !(initial.robust.is_finite() && gradient.is_finite()) {
+            StopReason::NonFinite
+        } else {
+            self.iterate(options, &abort, &mut lambda, &mut report)
+        };
         report.lambda = lambda.value;
         report
     }
@@ -174,29 +180,23 @@ impl Problem {
         lambda: &mut Lambda,
         report: &mut SolveReport,
     ) -> StopReason {
-        if report.n_free_dims == 0 || report.initial.n_residuals + report.initial.n_invalid == 0 {
-            return StopReason::NothingToSolve;
-        }
-        if !report.initial.robust.is_finite() {
-            return StopReason::NonFinite;
-        }
-        let mut stale = true;
+        let mut stale = false;
         while report.n_iterations < options.max_iterations {
             if abort() {
                 return StopReason::Aborted;
             }
             if stale {
-                if !self.linearize().is_finite() {
+                if !self.linearize().1.is_finite() {
                     return StopReason::NonFinite;
                 }
                 stale = false;
             }
             report.n_iterations += 1;
             match self.attempt(options, lambda, report) {
-                Attempt::Accepted { stop: Some(stop) } | Attempt::Rejected { stop: Some(stop) } => {
+                Attempt::Accepted { stop: Some(stop), .. } | Attempt::Rejected { stop: Some(stop) } => {
                     return stop;
                 }
-                Attempt::Accepted { stop: None } => stale = true,
+                Attempt::Accepted { stop: None, is_linearized } => stale = !is_linearized,
                 Attempt::Rejected { stop: None } => {}
             }
         }
@@ -212,19 +212,27 @@ impl Problem {
             if step.max_entry <= options.min_step {
                 return Attempt::Rejected { stop: Some(StopReason::StepConverged) };
             }
-            let trial = self.cost_at(Side::Trial);
+            // Most steps are taken, and the next iteration begins with derivatives there: they come with the
+            // residuals. Not where this iteration is likely to be the last.
+            let negligible = options.min_relative_decrease * report.last.robust;
+            let goes_on = report.n_iterations < options.max_iterations && step.predicted > negligible;
+            let (trial, gradient) =
+                if goes_on { self.linearize_trial() } else { (self.cost_at(Side::Trial), 0.0) };
             let decrease = report.last.robust - trial.robust;
-            broken = !decrease.is_finite();
-            if decrease > 0.0 && step.predicted > 0.0 {
-                self.accept_trial();
+            broken = !(decrease.is_finite() && gradient.is_finite());
+            if !broken && decrease > 0.0 && step.predicted > 0.0 {
+                if goes_on {
+                    self.accept_linearized_trial();
+                } else {
+                    self.accept_trial();
+                }
                 let relative = decrease / report.last.robust;
                 report.last = trial;
                 report.n_accepted += 1;
                 lambda.accept(decrease / step.predicted);
                 let stop = (relative < options.min_relative_decrease).then_some(StopReason::CostConverged);
-                return Attempt::Accepted { stop };
+                return Attempt::Accepted { stop, is_linearized: goes_on };
             }
-            let negligible = options.min_relative_decrease * report.last.robust;
             if !broken && step.predicted.abs() < negligible && decrease.abs() < negligible {
                 report.n_rejected += 1;
                 return Attempt::Rejected { stop: Some(StopReason::CostConverged) };
@@ -238,6 +246,12 @@ impl Problem {
 }
 
 enum Attempt {
-    Accepted { stop: Option<StopReason> },
-    Rejected { stop: Option<StopReason> },
+    /// `is_linearized` if the normal equations are those of the values taken.
+    Accepted {
+        stop: Option<StopReason>,
+        is_linearized: bool,
+    },
+    Rejected {
+        stop: Option<StopReason>,
+    },
 }

@@ -54,8 +54,10 @@ pub trait Wiring<R>: Variables<R> {
     fn values<'a>(views: Self::Views<'a>, ids: Self::Ids) -> Self::Refs<'a>;
     /// Looks the types up, once for all factors of a group.
     fn slots(stores: &Stores) -> Slots<'_>;
-    /// Adds `w Jᵀ r` and `w Jᵀ J` of one factor.
-    fn accumulate<M: Arithmetic>(
+    /// Whether the first member is held at its value.
+    fn is_first_fixed(ids: Self::Ids, slots: Slots<'_>) -> bool;
+    /// Adds `w Jᵀ r` and `w Jᵀ J` of one factor; without its first member if that is known to be fixed.
+    fn accumulate<M: Arithmetic, const FIRST_FIXED: bool>(
         linearized: &(R, Self::Jacobians),
         weight: f64,
         ids: Self::Ids,
@@ -137,7 +139,12 @@ macro_rules! impl_variables {
             }
 
             #[inline(always)]
-            fn accumulate<M: Arithmetic>(
+            fn is_first_fixed(ids: Self::Ids, slots: Slots<'_>) -> bool {
+                slots[0][ids.0.index()].is_fixed()
+            }
+
+            #[inline(always)]
+            fn accumulate<M: Arithmetic, const FIRST_FIXED: bool>(
                 (residual, jacobians): &(SVector<f64, R>, Self::Jacobians),
                 weight: f64,
                 ids: Self::Ids,
@@ -146,8 +153,12 @@ macro_rules! impl_variables {
                 normal: &mut NormalEquations,
             ) {
                 let weighted = ($(jacobians.$index * weight,)+);
-                $(normal.add_diagonal::<M, _, _>(slots[$index][ids.$index.index()], &weighted.$index, &jacobians.$index, residual);)+
-                $(normal.add_pair::<M, _, _, _>(pairs[$pair], &weighted.$a, &jacobians.$b);)*
+                $(if !(FIRST_FIXED && $index == 0) {
+                    normal.add_diagonal::<M, _, _>(slots[$index][ids.$index.index()], &weighted.$index, &jacobians.$index, residual);
+                })+
+                $(if !(FIRST_FIXED && $a == 0) {
+                    normal.add_pair::<M, _, _, _>(pairs[$pair], &weighted.$a, &jacobians.$b);
+                })*
                 let _ = pairs;
             }
         }

@@ -116,6 +116,7 @@ impl KeypointGrid {
     }
 
     /// As [`KeypointGrid::query_window`], calling `visit` with each index instead.
+    #[inline(always)]
     pub fn for_each_in_window(
         &self,
         x: f32,

@@ -94,29 +94,52 @@ impl<F: Factor> TypedGroup<F> {
                 None => cost.n_invalid += 1,
             }
         }
-        cost.n_residuals = n_valid * F::Residual::DIM;
-        cost.robust += 0.5 * cost.n_invalid as f64 * self.kernel.loss(INVALID_CHI2);
+        self.complete(&mut cost, n_valid);
         cost
     }
 
     /// See [`Group::linearize`].
     #[inline(always)]
-    fn add_to<M: Arithmetic>(&self, stores: &Stores, normal: &mut NormalEquations) {
+    fn add_to<M: Arithmetic>(&self, stores: &Stores, side: Side, normal: &mut NormalEquations) -> Cost {
+        let mut cost = Cost::default();
         if self.factors.is_empty() {
-            return;
+            return cost;
         }
-        let views = F::Variables::views(stores, Side::Current);
+        let views = F::Variables::views(stores, side);
         let slots = F::Variables::slots(stores);
         let members = self.ids.iter().zip(&self.pairs).zip(&self.enabled);
+        let mut n_valid = 0;
         for (factor, ((&ids, pairs), &enabled)) in self.factors.iter().zip(members) {
             if !enabled {
                 continue;
             }
-            if let Some(linearized) = factor.linearize(F::Variables::values(views, ids)) {
-                let weight = self.kernel.weight(linearized.0.squared_norm());
-                F::Variables::accumulate::<M>(&linearized, weight, ids, slots, pairs, normal);
+            let values = F::Variables::values(views, ids);
+            // No closures: only what is surely inlined is compiled with the instructions of `M`.
+            let Some(linearized) = factor.linearize(values) else {
+                cost.n_invalid += 1;
+                continue;
+            };
+            let chi2 = linearized.0.squared_norm();
+            cost.chi2 += chi2;
+            cost.robust += 0.5 * self.kernel.loss(chi2);
+            n_valid += 1;
+            let weight = self.kernel.weight(chi2);
+            // The compiler leaves out what only the derivatives by a fixed first variable need: many of the
+            // observations of a local bundle adjustment are from keyframes that are held.
+            if F::Variables::is_first_fixed(ids, slots) {
+                F::Variables::accumulate::<M, true>(&linearized, weight, ids, slots, pairs, normal);
+            } else {
+                F::Variables::accumulate::<M, false>(&linearized, weight, ids, slots, pairs, normal);
             }
         }
+        self.complete(&mut cost, n_valid);
+        cost
+    }
+
+    /// Counts the residuals of a sum and adds what factors without one cost.
+    fn complete(&self, cost: &mut Cost, n_valid: usize) {
+        cost.n_residuals = n_valid * F::Residual::DIM;
+        cost.robust += 0.5 * cost.n_invalid as f64 * self.kernel.loss(INVALID_CHI2);
     }
 }
 
@@ -127,8 +150,9 @@ pub(crate) trait Group: Send + Sync {
     fn set_pairs(&mut self, index: usize, pairs: FactorPairs);
     /// The cost at the accepted or the trial values.
     fn cost(&self, stores: &Stores, side: Side) -> Cost;
-    /// Adds the group's share to the normal equations at the accepted values.
-    fn linearize(&self, stores: &Stores, normal: &mut NormalEquations);
+    /// Adds the group's share to the normal equations at the accepted or the trial values; returns the cost
+    /// there.
+    fn linearize(&self, stores: &Stores, side: Side, normal: &mut NormalEquations) -> Cost;
     fn as_any(&self) -> &dyn Any;
     fn as_any_mut(&mut self) -> &mut dyn Any;
 }
@@ -150,8 +174,8 @@ impl<F: Factor> Group for TypedGroup<F> {
         vectorized!(_M => self.sum_cost(stores, side))
     }
 
-    fn linearize(&self, stores: &Stores, normal: &mut NormalEquations) {
-        vectorized!(M => self.add_to::<M>(stores, normal));
+    fn linearize(&self, stores: &Stores, side: Side, normal: &mut NormalEquations) -> Cost {
+        vectorized!(M => self.add_to::<M>(stores, side, normal))
     }
 
     fn as_any(&self) -> &dyn Any {

@@ -311,7 +311,10 @@ pub struct ClusteredCovariance {
 /// The solver's side of a problem: layout and memory of the linear system.
 struct LinearSystem {
     layout: Layout,
+    /// At the accepted values.
     normal: NormalEquations,
+    /// At the values under trial, once a step has been tried that was likely to be taken.
+    of_trial: NormalEquations,
     choice: LinearSolver,
     solver: ReducedSolver,
     reduced: Vec<f64>,
@@ -338,8 +341,6 @@ impl Problem {
             return;
         }
         let layout = Layout::build(&mut self.stores, &mut self.groups);
-        let mut normal = NormalEquations::default();
-        normal.resize(layout.n_blocks, layout.n_gradient);
         self.system = Some(LinearSystem {
             solver: ReducedSolver::new(&layout, choice),
             choice,
@@ -347,7 +348,8 @@ impl Problem {
             step: vec![0.0; layout.n_gradient],
             scratch: vec![0.0; layout.max_members * layout.max_reduced_dim * layout.max_landmark_dim],
             held: vec![false; layout.landmarks.len()],
-            normal,
+            normal: NormalEquations::default(),
+            of_trial: NormalEquations::default(),
             layout,
         });
     }
@@ -373,14 +375,27 @@ impl Problem {
         self.stores.iter_mut().for_each(|store| store.accept());
     }
 
-    /// Fills the normal equations at the current values; returns the largest entry of the gradient.
-    pub(crate) fn linearize(&mut self) -> f64 {
+    /// Accepts the trial values together with the normal equations of
+    /// [`linearize_trial`](Self::linearize_trial).
+    pub(crate) fn accept_linearized_trial(&mut self) {
+        self.accept_trial();
         let system = self.system.as_mut().expect("the system is laid out before it is filled");
-        system.normal.clear();
-        for group in &self.groups {
-            group.linearize(&self.stores, &mut system.normal);
-        }
-        max_abs(&system.normal.gradient)
+        std::mem::swap(&mut system.normal, &mut system.of_trial);
+    }
+
+    /// Fills the normal equations at the accepted values; returns the cost there and the largest entry of the
+    /// gradient.
+    pub(crate) fn linearize(&mut self) -> (Cost, f64) {
+        let system = self.system.as_mut().expect("the system is laid out before it is filled");
+        let cost = fill(&mut system.normal, &system.layout, &self.groups, &self.stores, Side::Current);
+        (cost, max_abs(&system.normal.gradient))
+    }
+
+    /// As [`linearize`](Self::linearize) at the values under trial.
+    pub(crate) fn linearize_trial(&mut self) -> (Cost, f64) {
+        let system = self.system.as_mut().expect("the system is laid out before it is filled");
+        let cost = fill(&mut system.of_trial, &system.layout, &self.groups, &self.stores, Side::Trial);
+        (cost, max_abs(&system.of_trial.gradient))
     }
 
     /// Reduces and factorizes the damped system.
@@ -455,6 +470,20 @@ impl LinearSystem {
         }
         sum
     }
+}
+
+/// Fills normal equations with what all factors say at the accepted or the trial values; returns the cost there.
+fn fill(
+    normal: &mut NormalEquations,
+    layout: &Layout,
+    groups: &[Box<dyn Group>],
+    stores: &Stores,
+    side: Side,
+) -> Cost {
+    normal.resize(layout.n_blocks, layout.n_gradient);
+    let mut cost = Cost::default();
+    groups.iter().for_each(|group| cost.add(group.linearize(stores, side, normal)));
+    cost
 }
 
 /// The largest magnitude, or NaN if any entry is.

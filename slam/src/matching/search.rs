@@ -6,8 +6,8 @@ use geometry::Pose;
 use geometry::nalgebra::Vector2;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
-use vision::Descriptor;
 use vision::matching::{LOOSE_DISTANCE, RotationConsistency, STRICT_DISTANCE, nearest_two};
+use vision::{Descriptor, vectorized};
 
 /// Views this close to the mean one, as a cosine, move little between their prediction and the truth.
 const FRONTAL_COSINE: f64 = 0.998;
@@ -92,21 +92,42 @@ pub(crate) fn find_in_window(
     window: &Window,
     taken: impl Fn(usize) -> bool,
 ) -> Option<usize> {
+    // Bits are counted by an instruction that not every processor has.
+    vectorized(
+        #[inline(always)]
+        || nearest_in_window(features, descriptor, window, taken),
+    )
+}
+
+#[inline(always)]
+fn nearest_in_window(
+    features: &FrameFeatures,
+    descriptor: &Descriptor,
+    window: &Window,
+    taken: impl Fn(usize) -> bool,
+) -> Option<usize> {
     let (mut best, mut second) = ((u32::MAX, usize::MAX), (u32::MAX, usize::MAX));
     let (x, y, radius) = (window.pixel.x as f32, window.pixel.y as f32, window.radius_px as f32);
-    features.grid.for_each_in_window(x, y, radius, window.octaves.clone(), |idx| {
-        let idx = idx as usize;
-        if taken(idx) {
-            return;
-        }
-        let distance = descriptor.distance(&features.descriptors[idx]);
-        if distance < best.0 {
-            second = best;
-            best = (distance, idx);
-        } else if distance < second.0 {
-            second = (distance, idx);
-        }
-    });
+    features.grid.for_each_in_window(
+        x,
+        y,
+        radius,
+        window.octaves.clone(),
+        #[inline(always)]
+        |idx| {
+            let idx = idx as usize;
+            if taken(idx) {
+                return;
+            }
+            let distance = descriptor.distance(&features.descriptors[idx]);
+            if distance < best.0 {
+                second = best;
+                best = (distance, idx);
+            } else if distance < second.0 {
+                second = (distance, idx);
+            }
+        },
+    );
     if best.0 > window.max_distance {
         return None;
     }

@@ -4,7 +4,7 @@ use super::frame::TrackedFrame;
 use crate::config::{LineConfig, TrackingConfig};
 use crate::map::{KeyframeId, LineId, Map, PointId, PointLandmark};
 use crate::matching::{ExpectedLine, PredictedSegment, PredictedView, Window, find_in_window, match_lines};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use vision::matching::LOOSE_DISTANCE;
 
 /// Neighbors taken in per keyframe that shares points with the frame.
@@ -13,6 +13,8 @@ const N_NEIGHBORS: usize = 10;
 /// Scratch space of the local map, kept between frames so that a steady stream allocates little.
 #[derive(Debug, Default)]
 pub(crate) struct LocalMap {
+    /// Points shared with the frame, per keyframe index.
+    votes: Vec<u32>,
     keyframes: Vec<KeyframeId>,
     points: Vec<PointId>,
     lines: BTreeSet<LineId>,
@@ -29,13 +31,16 @@ impl LocalMap {
         frame: &TrackedFrame,
         config: &TrackingConfig,
     ) -> Option<KeyframeId> {
-        let mut votes: BTreeMap<KeyframeId, u32> = BTreeMap::new();
+        self.votes.clear();
+        self.votes.resize(map.last_ids().keyframe as usize, 0);
         for point in frame.points.iter().flatten().filter_map(|id| map.point(*id)) {
             for seen in &point.observations {
-                *votes.entry(seen.keyframe).or_default() += 1;
+                self.votes[seen.keyframe.index()] += 1;
             }
         }
-        let mut ranked: Vec<(KeyframeId, u32)> = votes.into_iter().collect();
+        let voted = self.votes.iter().enumerate().filter(|(_, n)| **n > 0);
+        let mut ranked: Vec<(KeyframeId, u32)> =
+            voted.map(|(idx, n)| (KeyframeId::from_index(idx), *n)).collect();
         ranked.sort_by_key(|(id, n)| (std::cmp::Reverse(*n), *id));
         let reference = ranked.first().map(|(id, _)| *id);
 

@@ -126,10 +126,14 @@ impl<'a> Sampler<'a> {
                 _mm256_mullo_epi32(along(upper), _mm256_sub_epi32(one, below)),
                 _mm256_mullo_epi32(along(lower), below),
             );
-            let mut values = [0.0f32; LANES];
-            // SAFETY: the array has room for eight numbers.
-            unsafe { _mm256_storeu_ps(values.as_mut_ptr(), _mm256_mul_ps(_mm256_cvtepi32_ps(sum), scale)) };
-            chunk.copy_from_slice(&values[..chunk.len()]);
+            let values = _mm256_mul_ps(_mm256_cvtepi32_ps(sum), scale);
+            // SAFETY: as many numbers are stored as the chunk has, and those behind the path's end are not.
+            unsafe {
+                match chunk.len() {
+                    LANES => _mm256_storeu_ps(chunk.as_mut_ptr(), values),
+                    _ => _mm256_maskstore_ps(chunk.as_mut_ptr(), wanted, values),
+                }
+            }
             x = _mm256_add_epi32(x, step_x);
             y = _mm256_add_epi32(y, step_y);
             done = _mm256_add_epi32(done, _mm256_set1_epi32(LANES as i32));
@@ -158,8 +162,13 @@ impl<'a> Sampler<'a> {
     /// The gray level at one position, or `None` outside.
     #[inline]
     pub fn at(&self, position: Vector2<f32>) -> Option<f32> {
-        let mut value = [0.0];
-        self.path(position, Vector2::zeros(), &mut value).then_some(value[0])
+        if !self.contains(position) {
+            return None;
+        }
+        let half = 1 << (FRACTION_BITS - 9);
+        let position = Fixed { x: fixed(position.x) + half, y: fixed(position.y) + half };
+        let (upper, lower) = self.pixels_around(position);
+        Some(blend(upper, lower, position))
     }
 
     /// The four pixels around a position: two of the row above, two of the row below.

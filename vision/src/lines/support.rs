@@ -9,6 +9,8 @@ use super::sampling::Sampler;
 const SPACING_PX: f32 = 2.0;
 /// Most places looked at, on any one stretch; longer ones are looked at further apart.
 const MAX_PLACES: usize = 512;
+/// Places whose gray levels are read at once.
+const CHUNK: usize = 64;
 
 /// When a place counts as lying on an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,13 +58,49 @@ impl<'a> EdgeProbe<'a> {
     /// The gradient towards `normal` at a place, if an edge is there.
     #[inline]
     pub fn gradient(&self, place: Vector2<f32>, normal: Vector2<f32>) -> Option<f32> {
-        let along = Vector2::new(normal.y, -normal.x);
-        let across_gradient = 0.5 * (self.sampler.at(place + normal)? - self.sampler.at(place - normal)?);
-        if across_gradient < self.min_gradient {
-            return None;
+        let mut levels = [0.0; 4];
+        for (level, offset) in levels.iter_mut().zip(offsets(normal)) {
+            *level = self.sampler.at(place + offset)?;
         }
-        let along_gradient = 0.5 * (self.sampler.at(place + along)? - self.sampler.at(place - along)?);
-        (along_gradient.abs() <= self.max_slope * across_gradient).then_some(across_gradient)
+        self.judge(levels)
+    }
+
+    /// The gradient across, if an edge is where these gray levels lie at [`offsets`] from.
+    #[inline(always)]
+    fn judge(&self, [bright, dark, ahead, behind]: [f32; 4]) -> Option<f32> {
+        let (across, along) = (0.5 * (bright - dark), 0.5 * (ahead - behind));
+        (across >= self.min_gradient && along.abs() <= self.max_slope * across).then_some(across)
+    }
+
+    /// Calls `visit` with the gradient at each of `n` places between `start` and `end` where an edge is. The
+    /// gray levels beside the edge lie on straight paths, which are read many places at once; where those
+    /// leave the image, place by place.
+    fn for_each_gradient(
+        &self,
+        [start, end]: [Vector2<f32>; 2],
+        n: usize,
+        normal: Vector2<f32>,
+        mut visit: impl FnMut(usize, f32),
+    ) {
+        let step = (end - start) / n as f32;
+        for first in (0..n).step_by(CHUNK) {
+            let n_here = CHUNK.min(n - first);
+            let from = place(start, end, first, n);
+            let mut levels = [[0.0; CHUNK]; 4];
+            let mut paths = levels.iter_mut().zip(offsets(normal));
+            let are_inside =
+                paths.all(|(path, offset)| self.sampler.path(from + offset, step, &mut path[..n_here]));
+            for i in 0..n_here {
+                let gradient = if are_inside {
+                    self.judge(std::array::from_fn(|path| levels[path][i]))
+                } else {
+                    self.gradient(place(start, end, first + i, n), normal)
+                };
+                if let Some(gradient) = gradient {
+                    visit(first + i, gradient);
+                }
+            }
+        }
     }
 
     /// What supports the stretch from `start` to `end` of an edge with this normal; no support for a stretch
@@ -70,12 +108,10 @@ impl<'a> EdgeProbe<'a> {
     pub fn support(&self, start: Vector2<f32>, end: Vector2<f32>, normal: Vector2<f32>) -> EdgeSupport {
         let (mut n_supported, mut total) = (0u32, 0.0);
         let n = n_places((end - start).norm());
-        for i in 0..n {
-            if let Some(gradient) = self.gradient(place(start, end, i, n), normal) {
-                n_supported += 1;
-                total += gradient;
-            }
-        }
+        self.for_each_gradient([start, end], n, normal, |_, gradient| {
+            n_supported += 1;
+            total += gradient;
+        });
         EdgeSupport {
             share: n_supported as f32 / n.max(1) as f32,
             gradient: total / n_supported.max(1) as f32,
@@ -91,17 +127,16 @@ impl<'a> EdgeProbe<'a> {
         let max_hole = (config.max_hole_px / spacing) as usize;
         let mut best: Option<Run> = None;
         let mut run: Option<Run> = None;
-        for i in 0..n {
-            let Some(gradient) = self.gradient(place(segment.start, segment.end, i, n), normal) else {
-                continue;
+        self.for_each_gradient([segment.start, segment.end], n, normal, |i, gradient| {
+            let grown = match run {
+                Some(run) if i - run.last <= max_hole + 1 => run.grown(i, gradient),
+                _ => Run { first: i, last: i, n: 1, total: gradient },
             };
-            run = match run {
-                Some(run) if i - run.last <= max_hole + 1 => Some(run.grown(i, gradient)),
-                _ => Some(Run { first: i, last: i, n: 1, total: gradient }),
-            };
-            best =
-                [best, run].into_iter().flatten().reduce(|a, b| if b.extent() > a.extent() { b } else { a });
-        }
+            run = Some(grown);
+            if best.is_none_or(|best| grown.extent() > best.extent()) {
+                best = run;
+            }
+        });
         let best = best.filter(|run| run.n as f32 >= config.min_share * run.extent() as f32)?;
         let at = |places: usize| segment.start + segment.vector() * (places as f32 / n as f32);
         Some(Segment {
@@ -130,6 +165,14 @@ impl Run {
     fn extent(&self) -> usize {
         self.last + 1 - self.first
     }
+}
+
+/// Where gray levels are compared, from a place on the edge: across it on the bright and on the dark side, and
+/// along it.
+#[inline(always)]
+fn offsets(normal: Vector2<f32>) -> [Vector2<f32>; 4] {
+    let along = Vector2::new(normal.y, -normal.x);
+    [normal, -normal, along, -along]
 }
 
 fn n_places(length: f32) -> usize {

@@ -1,8 +1,7 @@
 //! How far the ends of a segment lie from the projection of the line it observes.
 
-use geometry::line::d_moment_d_pluecker;
-use geometry::nalgebra::{Matrix2x3, Matrix2x4, Matrix2x6, SMatrix, Vector2, Vector3};
-use geometry::{OrthonormalLine, Pinhole, Pose, so3};
+use geometry::nalgebra::{Matrix2x4, Matrix2x6, Vector2, Vector3};
+use geometry::{OrthonormalLine, Pinhole, Pose};
 use optim::{Factor, Linearized};
 
 /// An image line whose normal is shorter than this, relative to the focal length, is seen end on: the line
@@ -33,7 +32,8 @@ pub struct LineReprojectionFactor {
 
 /// The image line of unit normal, and how it was made.
 struct Projected {
-    camera_from_origin: Pose,
+    /// Of the origin of the line's parameters.
+    translation: Vector3<f64>,
     moment: Vector3<f64>,
     direction: Vector3<f64>,
     line: Vector3<f64>,
@@ -44,13 +44,14 @@ impl LineReprojectionFactor {
     fn project(&self, camera_from_world: &Pose, line: &OrthonormalLine) -> Option<Projected> {
         let (moment, direction) = line.pluecker();
         let translation = camera_from_world.transform(&self.origin);
-        let camera_from_origin = Pose::new(camera_from_world.rotation, translation);
         let direction = camera_from_world.rotation * direction;
         let moment = camera_from_world.rotation * moment + translation.cross(&direction);
-        let line = self.pinhole.line_matrix() * moment;
+        let Pinhole { fx, fy, cx, cy } = self.pinhole;
+        let (x, y) = (fy * moment.x, fx * moment.y);
+        let line = Vector3::new(x, y, fx * fy * moment.z - cx * x - cy * y);
         let norm = line.xy().norm();
         let is_seen = norm > MIN_NORMAL * self.pinhole.fx * direction.norm();
-        is_seen.then(|| Projected { camera_from_origin, moment, direction, line: line / norm, norm })
+        is_seen.then(|| Projected { translation, moment, direction, line: line / norm, norm })
     }
 
     fn distances(&self, line: &Vector3<f64>) -> Vector2<f64> {
@@ -69,32 +70,33 @@ impl Factor for LineReprojectionFactor {
         Some(self.distances(&projected.line) * self.inverse_sigma)
     }
 
-    #[inline]
+    #[inline(always)]
     fn linearize(&self, (camera_from_world, line): (&Pose, &OrthonormalLine)) -> Option<Linearized<Self>> {
         let projected = self.project(camera_from_world, line)?;
         let distances = self.distances(&projected.line);
         // With d = l·p / ‖l₁₂‖: ∂d/∂l = (p − d l₁₂/‖l₁₂‖, 1) / ‖l₁₂‖, and the line is stored divided by its
-        // norm.
-        let normal = projected.line.xy();
+        // norm. By the moment it is Kᵀ of that. Written out row by row, without the zeros of its matrices.
+        let Pinhole { fx, fy, cx, cy } = self.pinhole;
+        let scale = self.inverse_sigma / projected.norm;
+        let rotation = camera_from_world.rotation_matrix();
         let row = |end: &Vector2<f64>, distance: f64| {
-            let across = (end - normal * distance) / projected.norm;
-            [across.x, across.y, 1.0 / projected.norm]
+            let across = end - projected.line.xy() * distance;
+            let by_moment = Vector3::new(fy * (across.x - cx), fx * (across.y - cy), fx * fy) * scale;
+            // A left perturbation turns the moment and adds translation × direction.
+            let (turn, shift) = (projected.moment.cross(&by_moment), projected.direction.cross(&by_moment));
+            // The moment in the camera is R n + t × R v.
+            let by_direction = by_moment.cross(&projected.translation);
+            let by_line = line.derivative(&rotation.tr_mul(&by_moment), &rotation.tr_mul(&by_direction));
+            (turn, shift, by_line)
         };
-        let (first, second) = (row(&self.start_px, distances.x), row(&self.end_px, distances.y));
-        let d_distance_d_line = Matrix2x3::new(first[0], first[1], first[2], second[0], second[1], second[2]);
-        let d_residual_d_moment = d_distance_d_line * self.pinhole.line_matrix() * self.inverse_sigma;
-
-        // A left perturbation turns the moment and adds translation × direction.
-        let mut d_residual_d_pose = Matrix2x6::zeros();
-        d_residual_d_pose
-            .fixed_view_mut::<2, 3>(0, 0)
-            .copy_from(&(d_residual_d_moment * -so3::skew(&projected.moment)));
-        d_residual_d_pose
-            .fixed_view_mut::<2, 3>(0, 3)
-            .copy_from(&(d_residual_d_moment * -so3::skew(&projected.direction)));
-        let d_pluecker_d_line: SMatrix<f64, 6, 4> = line.jacobian();
-        let d_residual_d_line: Matrix2x4<f64> =
-            d_residual_d_moment * d_moment_d_pluecker(&projected.camera_from_origin) * d_pluecker_d_line;
+        let (turn, shift, by_line) = row(&self.start_px, distances.x);
+        let (end_turn, end_shift, end_by_line) = row(&self.end_px, distances.y);
+        #[rustfmt::skip]
+        let d_residual_d_pose = Matrix2x6::new(
+            turn.x, turn.y, turn.z, shift.x, shift.y, shift.z,
+            end_turn.x, end_turn.y, end_turn.z, end_shift.x, end_shift.y, end_shift.z,
+        );
+        let d_residual_d_line = Matrix2x4::from_rows(&[by_line.transpose(), end_by_line.transpose()]);
         Some((distances * self.inverse_sigma, (d_residual_d_pose, d_residual_d_line)))
     }
 }

@@ -1,7 +1,7 @@
 //! How far a keypoint lies from the projection of the point it observes.
 
 use geometry::nalgebra::{Matrix2x3, Matrix2x6, Vector2, Vector3};
-use geometry::{Pinhole, Pose, so3};
+use geometry::{Pinhole, Pose};
 use optim::{Factor, Linearized};
 
 /// Points nearer than this to the camera's plane are not projected, map units: the first map's median depth
@@ -34,23 +34,33 @@ impl Factor for PointReprojectionFactor {
             .then(|| (self.observed_px - self.pinhole.project(&in_camera)) * self.inverse_sigma)
     }
 
-    #[inline]
+    #[inline(always)]
     fn linearize(&self, (camera_from_world, point): (&Pose, &Vector3<f64>)) -> Option<Linearized<Self>> {
         let rotation = camera_from_world.rotation_matrix();
         let in_camera = rotation * point + camera_from_world.translation;
         if in_camera.z <= MIN_DEPTH {
             return None;
         }
-        let (projected, d_projection) = self.pinhole.project_with_jacobian(&in_camera);
+        let (x, y, z) = (in_camera.x, in_camera.y, in_camera.z);
+        let Pinhole { fx, fy, cx, cy } = self.pinhole;
+        // d(residual)/d(in_camera) = [a 0 c; 0 b d]. Written out, since products with its zeros would be
+        // computed: this is where bundle adjustment linearizes.
+        let inverse_z = 1.0 / z;
+        let (u, v) = (x * inverse_z, y * inverse_z);
+        let scale = -self.inverse_sigma * inverse_z;
+        let (a, b) = (fx * scale, fy * scale);
+        let (c, d) = (-a * u, -b * v);
+        let projected = Vector2::new(fx * u + cx, fy * v + cy);
         let residual = (self.observed_px - projected) * self.inverse_sigma;
-        let d_residual_d_in_camera: Matrix2x3<f64> = d_projection * -self.inverse_sigma;
         // d(in_camera)/d(rotation) = -[in_camera]x, d(in_camera)/d(translation) = I for a left perturbation.
-        let mut d_residual_d_pose = Matrix2x6::zeros();
-        d_residual_d_pose
-            .fixed_view_mut::<2, 3>(0, 0)
-            .copy_from(&(d_residual_d_in_camera * -so3::skew(&in_camera)));
-        d_residual_d_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(&d_residual_d_in_camera);
-        Some((residual, (d_residual_d_pose, d_residual_d_in_camera * rotation)))
+        #[rustfmt::skip]
+        let d_residual_d_pose = Matrix2x6::new(
+            c * y,         a * z - c * x, -a * y, a,   0.0, c,
+            d * y - b * z, -d * x,        b * x,  0.0, b,   d,
+        );
+        let [r0, r1, r2] = [rotation.row(0), rotation.row(1), rotation.row(2)];
+        let d_residual_d_point = Matrix2x3::from_rows(&[r0 * a + r2 * c, r1 * b + r2 * d]);
+        Some((residual, (d_residual_d_pose, d_residual_d_point)))
     }
 }
 

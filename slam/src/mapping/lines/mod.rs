@@ -37,8 +37,10 @@ impl LineMapper {
     pub fn extend(&mut self, map: &mut Map, id: KeyframeId, config: &SlamConfig) {
         self.cull_recent(map, id, config);
         self.follow_tracks(map, id);
+        // Lines that are made do not change it.
+        let depth = map.keyframe(id).and_then(|keyframe| median_depth(map, keyframe));
         for track in tracks_without_line(map, id) {
-            self.extend_track(map, id, track, config);
+            self.extend_track(map, id, track, depth, config);
         }
         fusion::fuse_with_neighbors(map, id, config);
     }
@@ -71,7 +73,15 @@ impl LineMapper {
     }
 
     /// Lets a track's newest segment see the line the track saw before, or makes a line of the track.
-    fn extend_track(&mut self, map: &mut Map, id: KeyframeId, track: u64, config: &SlamConfig) {
+    /// `median_depth` is that of the points the keyframe sees.
+    fn extend_track(
+        &mut self,
+        map: &mut Map,
+        id: KeyframeId,
+        track: u64,
+        median_depth: Option<f64>,
+        config: &SlamConfig,
+    ) {
         let (Some(keyframe), Some(views)) = (map.keyframe(id), self.tracks.get(&track)) else { return };
         let Some(newest) = views.last() else { return };
         let (sequence, submap) = (keyframe.sequence, keyframe.submap);
@@ -92,7 +102,6 @@ impl LineMapper {
             .filter(|seen| map.keyframe(seen.keyframe).is_some_and(|keyframe| keyframe.submap == submap))
             .filter_map(|seen| TrackView::of(map, *seen))
             .collect();
-        let median_depth = median_depth(map, keyframe);
         let Some(candidate) = triangulation::triangulate(&views, median_depth, &config.lines) else { return };
         let verdict = candidate.outcome.as_ref().err().copied().unwrap_or(LineVerdict::Made);
         let endpoints_in_camera =
