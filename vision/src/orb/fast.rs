@@ -206,8 +206,8 @@ fn neighbors(at: usize, width: usize) -> ([usize; 4], [usize; 4]) {
 /// The scores of `L::N` pixels from index `at` on, or `None` if all are certainly at most `threshold`.
 #[inline(always)]
 fn score_lanes<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16], threshold: u8) -> Option<L> {
-    // The circle's lowest pixels are 3 rows down and 1 to the right, its highest as far the other way: one check
-    // for what is read.
+    // The circle's lowest pixels are 3 rows down and 1 to the right, its highest as far the other way: one
+    // check for what is read.
     let reach = circle[7].unsigned_abs().max(circle[9].unsigned_abs()) + CIRCLE_RADIUS;
     assert!(at >= reach && at + reach + L::N <= pixels.len(), "a circle lies in the image");
     let center = L::load(&pixels[at..]);
