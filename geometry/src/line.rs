@@ -346,8 +346,8 @@ impl OrthonormalLine {
         (u[0] * w1, u[1] * w2)
     }
 
-    /// The derivative of `moment · n + direction · v`, with `n` and `v` as of [`pluecker`](Self::pluecker), by
-    /// the tangent vector: a row of a matrix times [`jacobian`](Self::jacobian), without its zeros.
+    /// The derivative of `moment · n + direction · v`, with `n` and `v` as of [`pluecker`](Self::pluecker),
+    /// by the tangent vector: a row of a matrix times [`jacobian`](Self::jacobian), without its zeros.
     #[inline]
     pub fn derivative(&self, by_moment: &Vector3<f64>, by_direction: &Vector3<f64>) -> Vector4<f64> {
         let [u1, u2, u3] = self.columns();

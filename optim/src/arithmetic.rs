@@ -30,9 +30,9 @@ impl Arithmetic for Portable {
     }
 }
 
-/// Makes a closure that takes it one that can be called only once. One that could be called again is called by a
-/// function that nothing tells the compiler to inline: where the body is large, it was compiled without the
-/// instructions it was meant for, and every fused multiplication became a call of a library.
+/// Makes a closure that takes it one that can be called only once. One that could be called again is called
+/// by a function that nothing tells the compiler to inline: where the body is large, it was compiled without
+/// the instructions it was meant for, and every fused multiplication became a call of a library.
 #[cfg(target_arch = "x86_64")]
 pub(crate) struct Once;
 

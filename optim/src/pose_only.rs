@@ -132,8 +132,8 @@ pub trait Accumulate<T, const N: usize> {
 
 /// A group of unary factors of `T`, whatever the factor's type; implemented by [`UnaryGroup`].
 pub trait UnaryTerms<T, const N: usize>: Accumulate<T, N> {
-    /// Judges every factor at `value`; returns the number of inliers, and whether any is judged otherwise than
-    /// before.
+    /// Judges every factor at `value`; returns the number of inliers, and whether any is judged otherwise
+    /// than before.
     fn classify(&mut self, value: &T) -> (usize, bool);
 }
 

@@ -472,7 +472,8 @@ impl LinearSystem {
     }
 }
 
-/// Fills normal equations with what all factors say at the accepted or the trial values; returns the cost there.
+/// Fills normal equations with what all factors say at the accepted or the trial values; returns the cost
+/// there.
 fn fill(
     normal: &mut NormalEquations,
     layout: &Layout,

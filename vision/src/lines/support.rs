@@ -167,8 +167,8 @@ impl Run {
     }
 }
 
-/// Where gray levels are compared, from a place on the edge: across it on the bright and on the dark side, and
-/// along it.
+/// Where gray levels are compared, from a place on the edge: across it on the bright and on the dark side,
+/// and along it.
 #[inline(always)]
 fn offsets(normal: Vector2<f32>) -> [Vector2<f32>; 4] {
     let along = Vector2::new(normal.y, -normal.x);

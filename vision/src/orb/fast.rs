@@ -13,12 +13,14 @@ use super::lanes::{Lanes, Portable};
 use crate::GrayImage;
 
 /// A corner at a whole pixel of its level.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Corner {
     pub x: u16,
     pub y: u16,
     /// See the head of this file, gray levels.
     pub score: u8,
+    /// From the pixel to where the corner is, once that is [refined](super::refine::Refiner), pixels.
+    pub shift: (f32, f32),
 }
 
 /// The circle of 16 pixels, (dx, dy), in order around the center.
@@ -149,7 +151,8 @@ impl Detector {
                     (region.left..region.right).contains(&x) && (region.top..region.bottom).contains(&y);
                 // A vector that was moved back repeats pixels of the one before.
                 if inside && peak >= next {
-                    corners.push(Corner { x: x as u16, y: y as u16, score: self.scores[peak] });
+                    let score = self.scores[peak];
+                    corners.push(Corner { x: x as u16, y: y as u16, score, ..Corner::default() });
                     next = peak + 1;
                 }
             }
@@ -178,7 +181,7 @@ impl Detector {
                 let is_peak = before.iter().all(|&i| self.scores[i] < score)
                     && after.iter().all(|&i| self.scores[i] <= score);
                 if score > threshold && is_peak {
-                    corners.push(Corner { x: x as u16, y: y as u16, score });
+                    corners.push(Corner { x: x as u16, y: y as u16, score, ..Corner::default() });
                 }
             }
         }
@@ -203,6 +206,10 @@ fn neighbors(at: usize, width: usize) -> ([usize; 4], [usize; 4]) {
 /// The scores of `L::N` pixels from index `at` on, or `None` if all are certainly at most `threshold`.
 #[inline(always)]
 fn score_lanes<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16], threshold: u8) -> Option<L> {
+    // The circle's lowest pixels are 3 rows down and 1 to the right, its highest as far the other way: one
+    // check for what is read.
+    let reach = circle[7].unsigned_abs().max(circle[9].unsigned_abs()) + CIRCLE_RADIUS;
+    assert!(at >= reach && at + reach + L::N <= pixels.len(), "a circle lies in the image");
     let center = L::load(&pixels[at..]);
     let threshold = L::splat(threshold);
     // Of two opposite pixels every arc of 9 holds at least one. So no arc is brighter throughout than the
@@ -222,10 +229,11 @@ fn score_lanes<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16], thresho
 // Functions, not closures, and loops, not `array::from_fn`, as only what is surely inlined into a caller with
 // AVX2 is compiled with it.
 
-/// Pixel `k` of the circle around each pixel.
+/// Pixel `k` of the circle around each pixel, for which [`score_lanes`] has made sure that it is there.
 #[inline(always)]
 fn on_circle<L: Lanes>(pixels: &[u8], at: usize, circle: &[isize; 16], k: usize) -> L {
-    L::load(&pixels[at.wrapping_add_signed(circle[k % 16])..])
+    // SAFETY: no offset of the circle is larger than the reach on either side that `score_lanes` checked.
+    unsafe { L::load_unchecked(pixels, at.wrapping_add_signed(circle[k % 16])) }
 }
 
 /// How far the brightest is above `center` or the darkest below it, whichever is more.
@@ -341,7 +349,7 @@ mod tests {
                             },
                         );
                         if is_peak && own > config.min_fast_threshold {
-                            found.push(Corner { x: x as u16, y: y as u16, score: own });
+                            found.push(Corner { x: x as u16, y: y as u16, score: own, ..Corner::default() });
                         }
                     }
                 }

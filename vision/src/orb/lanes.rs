@@ -8,6 +8,11 @@ pub(super) trait Lanes: Copy {
     const N: usize;
     /// The first `N` bytes of `bytes`; panics if there are fewer.
     fn load(bytes: &[u8]) -> Self;
+    /// The `N` bytes of `bytes` from `at` on.
+    ///
+    /// # Safety
+    /// There must be as many.
+    unsafe fn load_unchecked(bytes: &[u8], at: usize) -> Self;
     /// Into the first `N` bytes of `bytes`; panics if there are fewer.
     fn store(self, bytes: &mut [u8]);
     fn splat(value: u8) -> Self;
@@ -41,6 +46,11 @@ impl Lanes for Portable {
         let mut lanes = [0; N_PORTABLE];
         lanes.copy_from_slice(&bytes[..N_PORTABLE]);
         Self(lanes)
+    }
+
+    #[inline(always)]
+    unsafe fn load_unchecked(bytes: &[u8], at: usize) -> Self {
+        Self::load(&bytes[at..])
     }
 
     #[inline(always)]
@@ -94,6 +104,13 @@ impl Lanes for Avx2 {
         let bytes = &bytes[..32];
         // SAFETY: 32 readable bytes; AVX2 is there (see the type).
         Self(unsafe { std::arch::x86_64::_mm256_loadu_si256(bytes.as_ptr().cast()) })
+    }
+
+    #[inline(always)]
+    unsafe fn load_unchecked(bytes: &[u8], at: usize) -> Self {
+        debug_assert!(at + 32 <= bytes.len());
+        // SAFETY: the caller says that the bytes are there; AVX2 is (see the type).
+        Self(unsafe { std::arch::x86_64::_mm256_loadu_si256(bytes.as_ptr().add(at).cast()) })
     }
 
     #[inline(always)]

@@ -303,9 +303,11 @@ impl OrbExtractor {
             }
             self.blur.apply(level_image, blurred);
             if self.config.refine_corners {
-                let shift =
-                    |corner: &Corner| self.refiner.shift(blurred, u32::from(corner.x), u32::from(corner.y));
-                corners.retain(|corner| shift(corner).is_some());
+                corners.retain_mut(|corner| {
+                    let shift = self.refiner.shift(blurred, u32::from(corner.x), u32::from(corner.y));
+                    corner.shift = shift.unwrap_or_default();
+                    shift.is_some()
+                });
             }
         }
         features.keypoints.reserve(self.config.n_features);
@@ -333,8 +335,7 @@ impl OrbExtractor {
         for corner in &self.kept {
             let (x, y) = (u32::from(corner.x), u32::from(corner.y));
             let angle = orientation::angle(image, x, y);
-            let shift = self.config.refine_corners.then(|| self.refiner.shift(blurred, x, y)).flatten();
-            let (shift_x, shift_y) = shift.unwrap_or_default();
+            let (shift_x, shift_y) = corner.shift;
             features.keypoints.push(Keypoint {
                 // Pixel centers are at integers, the image's edge at -0.5; edges coincide in all levels.
                 x: (x as f32 + shift_x + 0.5) * scale_x - 0.5,

@@ -141,22 +141,22 @@ fn sum_lanes(lanes: [f32; LANES]) -> f32 {
 
 /// The window around a pixel with one more pixel on each side.
 struct Window<'a> {
-    pixels: &'a [u8],
-    width: usize,
+    rows: [&'a [u8; ROW]; ROW],
 }
 
 impl<'a> Window<'a> {
     fn around(image: &'a GrayImage, x: u32, y: u32) -> Self {
         let (width, margin) = (image.width() as usize, RADIUS as usize + 1);
         let top_left = (y as usize - margin) * width + x as usize - margin;
-        Self { pixels: &image.as_raw()[top_left..], width }
+        let pixels = &image.as_raw()[top_left..];
+        let row = |row: usize| pixels[row * width..][..ROW].as_array().expect("a row's length");
+        Self { rows: std::array::from_fn(row) }
     }
 
     /// The rows above, at and below row `row` of the window.
     #[inline(always)]
     fn rows(&self, row: usize) -> [&'a [u8; ROW]; 3] {
-        let read = |row: usize| self.pixels[row * self.width..][..ROW].as_array().expect("a row's length");
-        [read(row), read(row + 1), read(row + 2)]
+        [self.rows[row], self.rows[row + 1], self.rows[row + 2]]
     }
 }
 

@@ -188,6 +188,10 @@ mod tests {
     use super::*;
     use crate::test_images::Random;
 
+    fn corner(x: u16, y: u16, score: u8) -> Corner {
+        Corner { x, y, score, ..Corner::default() }
+    }
+
     fn random_corners(n: usize, width: u32, height: u32, seed: u64) -> Vec<Corner> {
         let mut random = Random::new(seed);
         let mut corners: Vec<Corner> = (0..n)
@@ -195,6 +199,7 @@ mod tests {
                 x: random.below(width) as u16,
                 y: random.below(height) as u16,
                 score: 8 + random.below(200) as u8,
+                ..Corner::default()
             })
             .collect();
         corners.sort_by_key(|c| (c.y, c.x));
@@ -244,13 +249,9 @@ mod tests {
 
     #[test]
     fn the_strongest_of_a_square_is_the_one_kept() {
-        let mut corners = vec![
-            Corner { x: 10, y: 10, score: 30 },
-            Corner { x: 12, y: 11, score: 90 },
-            Corner { x: 600, y: 400, score: 20 },
-        ];
+        let mut corners = vec![corner(10, 10, 30), corner(12, 11, 90), corner(600, 400, 20)];
         let mut kept = Vec::new();
         spread(&mut corners, 640, 480, 2, 1.0, &mut kept);
-        assert_eq!(kept, [Corner { x: 12, y: 11, score: 90 }, Corner { x: 600, y: 400, score: 20 }]);
+        assert_eq!(kept, [corner(12, 11, 90), corner(600, 400, 20)]);
     }
 }
