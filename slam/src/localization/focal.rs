@@ -6,7 +6,6 @@
 use super::{Localizer, N_MATCHED_NEIGHBORS, Near, simple_camera};
 use crate::bundle::factors::PointReprojectionFactor;
 use crate::clock::{NoClock, Stopwatch};
-use crate::config::SlamConfig;
 use crate::features::FrameFeatures;
 use crate::input::ResumeError;
 use crate::map::Map;
@@ -63,7 +62,7 @@ impl Localizer {
         let usual_px = USUAL_FOCAL_SHARE * f64::from(image.width().max(image.height()));
         let Some(camera) = simple_camera(image, usual_px) else { return Ok(Vec::new()) };
         let scaled = self.at_map_resolution(&camera);
-        let mut config = SlamConfig { working_width_px: 8192, enlarge_below_px: 0, ..self.config.clone() };
+        let mut config = self.config_of_others();
         config.features.lines = false;
         config.features.global_primitives = false;
         let mut stopwatch = Stopwatch::start(Arc::new(NoClock));

@@ -193,6 +193,16 @@ impl Localizer {
         Ok(best)
     }
 
+    /// The configuration for images of other cameras, which are worked on at the size they were brought to.
+    fn config_of_others(&self) -> SlamConfig {
+        SlamConfig {
+            working_width_px: 8192,
+            enlarge_below_px: 0,
+            enlarge_for_border: false,
+            ..self.config.clone()
+        }
+    }
+
     /// Looks at an image of another camera, at the size that suits the map.
     fn look_with(
         &mut self,
@@ -201,7 +211,7 @@ impl Localizer {
         near: Option<Near>,
     ) -> Result<Look, ResumeError> {
         let scaled = self.at_map_resolution(camera);
-        let config = SlamConfig { working_width_px: 8192, enlarge_below_px: 0, ..self.config.clone() };
+        let config = self.config_of_others();
         self.look(image, &scaled, &config, false, near)
     }
 
