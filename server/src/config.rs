@@ -97,8 +97,8 @@ pub struct SessionConfig {
     pub lossless_queue_frames: usize,
     /// Newest frames kept waiting in a REALTIME stream; older ones are dropped. Default 2.
     pub realtime_queue_frames: usize,
-    /// Seconds after which a frame of a REALTIME stream that newer ones follow is dropped when its turn comes.
-    /// Default 0.5: where many streams share the cores, answers are of what is, and not of what was.
+    /// Seconds after which a frame of a REALTIME stream that newer ones follow is dropped when its turn
+    /// comes. Default 0.5: where many streams share the cores, answers are of what is, and not of what was.
     pub realtime_max_wait_s: f64,
     /// Keep the images of keyframes, as they were sent (raw ones as PNG). Default true.
     pub keep_keyframe_images: bool,
