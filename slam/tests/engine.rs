@@ -107,7 +107,7 @@ fn frames_that_are_keyframes_have_the_poses_of_their_keyframes() {
     let map = session.finish();
     assert!(map.n_keyframes() >= 5, "{} keyframes are too few to tell", map.n_keyframes());
     for keyframe in map.keyframes() {
-        let record = session.records[&keyframe.sequence];
+        let record = &session.records[&keyframe.sequence];
         let (_, camera_from_world) = record.pose.and_then(|pose| map.locate(&pose)).expect("it has a pose");
         let off = (camera_from_world * keyframe.camera_from_world.inverse()).log().norm();
         assert!(off < 1e-12, "frame {} is off its keyframe by {off}", keyframe.sequence);

@@ -8,14 +8,6 @@ pub struct KeyframeConfig {
     /// Median way that landmarks must have moved in the image since the last keyframe, as a share of its
     /// width. Default 0.025: views closer than that add work and no parallax.
     pub min_displacement: f64,
-    /// Of so many of the last keyframes it is asked how many mapping has culled again. If it was every other
-    /// one, keyframes are to be twice `min_displacement` apart. Default 12: what was culled some seconds ago.
-    pub n_judged: usize,
-    /// Nothing changes while this share of them is left. Default 0.75: to wait a little longer where one of
-    /// twelve was culled cost a car's trajectory a third of its accuracy.
-    pub ample_kept_share: f64,
-    /// By how many times `min_displacement` grows by that at most. Default 2; 1 for not at all.
-    pub max_thinning: f64,
     /// A frame that finds less than this share is kept after a smaller way. Default 0.6: what is seen changes
     /// fast.
     pub urgent_tracked_share: f64,
@@ -57,9 +49,6 @@ impl Default for KeyframeConfig {
         Self {
             max_tracked_share: 0.9,
             min_displacement: 0.025,
-            n_judged: 12,
-            ample_kept_share: 0.75,
-            max_thinning: 2.0,
             urgent_tracked_share: 0.6,
             urgent_displacement: 0.015,
             ample_displacement: 0.1,

@@ -13,9 +13,6 @@ const ESTABLISHED_OBSERVATIONS: usize = 3;
 /// Common points below which two views have so little in common that the one is news to the other.
 const MIN_COMMON_POINTS: usize = 15;
 
-/// Keyframes, counted from the newest, that mapping may not have judged yet.
-const N_UNJUDGED: usize = 4;
-
 /// The last frame that was kept, as the next one is compared with it.
 #[derive(Clone, Debug)]
 pub(super) struct LastKeyframe {
@@ -89,8 +86,7 @@ pub(super) fn wants_keyframe(
         return true;
     }
     let displacement = last.displacement(frame);
-    let min_displacement = config.min_displacement * thinning(map, config);
-    if displacement > min_displacement && lines_are_needed(config, frame, inliers, last) {
+    if displacement > config.min_displacement && lines_are_needed(config, frame, inliers, last) {
         return true;
     }
     let is_scarce = inliers.total() < config.scarce_landmarks;
@@ -98,19 +94,8 @@ pub(super) fn wants_keyframe(
         return true;
     }
     displacement > if is_scarce { config.scarce_displacement } else { config.ample_displacement }
-        || share < config.max_tracked_share && displacement > min_displacement
+        || share < config.max_tracked_share && displacement > config.min_displacement
         || share < config.urgent_tracked_share && displacement > config.urgent_displacement
-}
-
-/// By how many times farther apart keyframes are to be, as so many of the last ones were culled again: what
-/// mapping takes out need not be put in. 1 where it keeps most of them.
-fn thinning(map: &Map, config: &KeyframeConfig) -> f64 {
-    let n_judged = (map.last_ids().keyframe as usize).saturating_sub(N_UNJUDGED);
-    let Some(first) = n_judged.checked_sub(config.n_judged) else { return 1.0 };
-    let is_kept = |idx: &usize| map.keyframe(KeyframeId::from_index(*idx)).is_some();
-    let n_kept = (first..n_judged).filter(is_kept).count();
-    let inverse_share = config.n_judged as f64 / n_kept.max(1) as f64;
-    if inverse_share * config.ample_kept_share > 1.0 { inverse_share.min(config.max_thinning) } else { 1.0 }
 }
 
 /// Whether points are few and lines could take over: enough segments have been followed since the last
@@ -188,27 +173,5 @@ mod tests {
         assert!(is_kept(43, 93, 0.0));
         assert!(!is_kept(65, 93, 0.0));
         assert!(!is_kept(250, 600, 0.0), "these are enough");
-    }
-
-    #[test]
-    fn keyframes_are_spread_where_mapping_culls_them_again() {
-        let config = KeyframeConfig::default();
-        let made = config.n_judged + N_UNJUDGED;
-        let thinning_of = |n_culled: usize| {
-            let mut map = Map::default();
-            for idx in 0..made {
-                let id = KeyframeId::from_index(idx);
-                map.add_keyframe(frame(0.0).to_keyframe(id, None));
-            }
-            (0..n_culled).for_each(|idx| {
-                map.remove_keyframe(KeyframeId::from_index(idx), KeyframeId::from_index(made - 1))
-            });
-            thinning(&map, &config)
-        };
-        assert_eq!(thinning_of(0), 1.0);
-        assert_eq!(thinning_of(2), 1.0, "most are left");
-        assert!((thinning_of(4) - 1.5).abs() < 1e-12);
-        assert_eq!(thinning_of(11), config.max_thinning);
-        assert_eq!(thinning(&Map::default(), &config), 1.0);
     }
 }
