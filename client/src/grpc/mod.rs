@@ -1,5 +1,5 @@
-//! The typed client of the gRPC service: the connection and its sessions here; maps, operations on whole maps and
-//! streams beside.
+//! The typed client of the gRPC service: the connection and its sessions here; maps, operations on whole maps
+//! and streams beside.
 
 mod maps;
 mod operations;
