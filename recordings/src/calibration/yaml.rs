@@ -12,6 +12,8 @@ use crate::yaml::{Node, Yaml};
 
 /// Kalibr's models with spheres: what comes before the focal lengths in `intrinsics` is theirs.
 const SPHERES: [&str; 3] = ["ds", "eucm", "omni"];
+/// What the model without a sphere is called.
+const PINHOLES: [&str; 3] = ["pinhole", "perspective", "opencv"];
 
 /// A camera and, where the file has it, its place on the body whose poses are the truth.
 pub(crate) struct Rig {
@@ -42,10 +44,14 @@ impl Reader<'_> {
     fn camera(&self) -> Result<Camera, FileError> {
         let (width, height) = self.size()?;
         let distortion = self.distortion()?;
-        if let Some((model, node)) = self.word(&["camera_model"])
-            && SPHERES.contains(&model.as_str())
-        {
-            return self.sphere(&model, node, (width, height), &distortion);
+        match self.word(&["camera_model"]) {
+            Some((model, node)) if SPHERES.contains(&model.as_str()) => {
+                return self.sphere(&model, node, (width, height), &distortion);
+            }
+            Some((model, node)) if !PINHOLES.contains(&model.as_str()) => {
+                return Err(self.unsupported("camera_model", &model, node));
+            }
+            _ => {}
         }
         let [fx, fy, cx, cy] = self.intrinsics()?;
         let model = self.model(&distortion)?;
@@ -168,7 +174,7 @@ impl Reader<'_> {
     fn unsupported(&self, name: &str, model: &str, node: &Node) -> FileError {
         let message = format!(
             "{name} `{model}` is not supported: calibrate with radial-tangential, equidistant or fov distortion \
-             of a pinhole"
+             of a pinhole, or with ds or eucm"
         );
         self.yaml.error(node, message)
     }

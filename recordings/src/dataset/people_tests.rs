@@ -201,9 +201,11 @@ fn vehicles_have_their_calibration_in_many_forms() {
     let refused =
         |text: &str| open(vehicle("mav0/cam0/sensor.yaml", text).root(), OpenOptions::default()).unwrap_err();
     assert!(
-        refused("camera_model: ds\nresolution: [8, 6]\nintrinsics: [8, 8, 4, 3]\n")
-            .contains("sensor.yaml:1: camera_model `ds`")
+        refused("camera_model: spline\nresolution: [8, 6]\nintrinsics: [8, 8, 4, 3]\n")
+            .contains("sensor.yaml:1: camera_model `spline`")
     );
+    let short = refused("camera_model: ds\nresolution: [8, 6]\nintrinsics: [8, 8, 4, 3]\n");
+    assert!(short.contains("sensor.yaml:") && short.contains("ds cannot have 4 numbers"), "{short}");
     assert!(refused("resolution: [8, 6]\n").contains("there is no `intrinsics:`"));
     assert!(refused("resolution: [8, 6\n").contains("sensor.yaml:"));
     let folder = vehicle("unused", "");

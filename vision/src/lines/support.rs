@@ -90,14 +90,16 @@ impl<'a> EdgeProbe<'a> {
             let mut paths = levels.iter_mut().zip(offsets(normal));
             let are_inside =
                 paths.all(|(path, offset)| self.sampler.path(from + offset, step, &mut path[..n_here]));
-            for i in 0..n_here {
+            let [bright, dark, ahead, behind] = &levels;
+            let on_paths = bright.iter().zip(dark).zip(ahead).zip(behind);
+            for (i, (((bright, dark), ahead), behind)) in (first..first + n_here).zip(on_paths) {
                 let gradient = if are_inside {
-                    self.judge(std::array::from_fn(|path| levels[path][i]))
+                    self.judge([*bright, *dark, *ahead, *behind])
                 } else {
-                    self.gradient(place(start, end, first + i, n), normal)
+                    self.gradient(place(start, end, i, n), normal)
                 };
                 if let Some(gradient) = gradient {
-                    visit(first + i, gradient);
+                    visit(i, gradient);
                 }
             }
         }
