@@ -58,7 +58,7 @@ describe('scenes', () => {
     expect(scene.revision).toBe('1-1');
   });
 
-  test('a stored frame replaces the one that was told live, and keeps its reason', () => {
+  test('a stored frame replaces the one that was told live, with a reason of its own', () => {
     const scene = new Scene();
     const pose = { tx: 2, ty: 4, tz: 6, qx: 0, qy: 0, qz: 0, qw: 1 };
     const event = { sequence: 5, timestamp_ns: 2e9, state: 'weak' as const, reason: 'few landmarks', world_from_camera: pose, submap_id: 3 };
@@ -67,7 +67,7 @@ describe('scenes', () => {
     scene.apply({
       frames: { sequences: [5], times_s: [2], states: ['tracked'], backfilled: [true], submap_ids: [1], poses: [AT], reasons: {} },
     });
-    expect(scene.frames.get(5)).toMatchObject({ state: 'tracked', backfilled: true, submap: 1, reason: 'few landmarks' });
+    expect(scene.frames.get(5)).toMatchObject({ state: 'tracked', backfilled: true, submap: 1, reason: '' });
   });
 
   test('keyframes are found by time', () => {
