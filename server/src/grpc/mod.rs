@@ -113,6 +113,23 @@ pub(crate) fn for_pages(service: Arc<Service>) -> Router {
         .into_axum_router()
         .layer(tonic_web::GrpcWebLayer::new())
         .layer(axum::middleware::from_fn(deadline::keep))
+        .layer(axum::middleware::from_fn(only_from_pages))
+}
+
+/// Turns away what speaks gRPC itself: its messages are counted and timed on the gRPC port alone.
+async fn only_from_pages(
+    request: axum::extract::Request,
+    next: axum::middleware::Next,
+) -> axum::response::Response {
+    let kind = request.headers().get(axum::http::header::CONTENT_TYPE).map(|kind| kind.as_bytes());
+    let speaks_grpc = kind.is_some_and(|kind| {
+        kind.starts_with(b"application/grpc") && !kind.starts_with(b"application/grpc-web")
+    });
+    if speaks_grpc {
+        let message = "this is the HTTP port, which takes gRPC-Web alone: call the gRPC port";
+        return Status::unimplemented(message).into_http();
+    }
+    next.run(request).await
 }
 
 /// The server's side of a watch.
