@@ -94,3 +94,12 @@ async fn the_door_stands_before_grpc_web_too() {
     assert_eq!(ask("DeleteSession").bearer_auth(&reader).send().await.unwrap().status(), 403, "a reader");
     assert_eq!(ask("GetSession").bearer_auth(&reader).send().await.unwrap().status(), 200);
 }
+
+#[tokio::test]
+async fn who_speaks_grpc_is_sent_to_its_port() {
+    let server = TestServer::start().await;
+    let mut client = tests::connect(server.running().http_addr).await.unwrap();
+    let refused = client.list_sessions(v1::ListSessionsRequest::default()).await.unwrap_err();
+    assert_eq!(refused.code(), tonic::Code::Unimplemented);
+    assert!(refused.message().contains("gRPC port"), "{refused}");
+}

@@ -135,5 +135,7 @@ async fn a_million_points_are_asked_by_place_and_taken_out_with_little_memory() 
     );
     assert!(n_bytes as u64 > N_POINTS * 20, "all of them are there");
     assert!(extra_mb < 50.0, "{extra_mb:.0} MB more");
-    assert!(times[5] < 50.0 || cfg!(debug_assertions), "{times:?}");
+    // Without optimization 220 ms; reading the columns that are not told took 506.
+    let bound_ms = if cfg!(debug_assertions) { 500.0 } else { 50.0 };
+    assert!(times[5] < bound_ms, "{times:?}");
 }

@@ -5,14 +5,12 @@ import { announce, h } from '../dom';
 
 /** Time between two looks at an operation that runs, ms. */
 const LOOK_INTERVAL_MS = 500;
-/** The kinds as the page calls them. */
-const NAMES = { optimize: 'Optimizing the map', merge: 'Joining the maps' } as const;
 
 const goesOn = ({ state }: Operation) => state === 'queued' || state === 'running';
 
 /** What is to be read about an operation. */
 export function told(operation: Operation): string {
-  const name = operation.kind === 'merge' ? `Joining ${operation.from_session_id ?? 'another session'}` : NAMES.optimize;
+  const name = operation.kind === 'merge' ? `Joining ${operation.from_session_id ?? 'another session'}` : 'Optimizing the map';
   if (operation.state === 'queued') return `${name}: waits for its turn.`;
   if (operation.state === 'running') return `${name}: ${Math.round(operation.progress * 100)} %.`;
   if (operation.state === 'cancelled') return `${name}: cancelled, nothing was changed.`;

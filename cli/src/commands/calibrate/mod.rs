@@ -9,7 +9,8 @@ use anyhow::{Context, Result, ensure};
 use calibration::{
     Board, Calibrated, CalibrationConfig, DetectionConfig, Verdict, View, calibrate, find_board,
 };
-use clap::{Args, ValueEnum};
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use geometry::CameraModel;
 use serde_json::json;
 use vision::GrayImage;
@@ -36,8 +37,8 @@ pub struct CalibrateArgs {
     #[arg(long, value_name = "M", default_value = "0.025", value_parser = positive)]
     square: f64,
     /// The lens: radtan for most cameras, kannala-brandt for fisheyes
-    #[arg(long, value_name = "MODEL", default_value = "radtan")]
-    model: Model,
+    #[arg(long, value_name = "MODEL", default_value = "radtan", value_parser = model())]
+    model: CameraModel,
     /// Radial-tangential distortion with k3, for views with boards up to the very edge of the image
     #[arg(long)]
     k3: bool,
@@ -55,28 +56,11 @@ pub struct CalibrateArgs {
     json: bool,
 }
 
-/// Families of lenses.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Model {
-    Pinhole,
-    Radtan,
-    KannalaBrandt,
-    Fov,
-    Eucm,
-    DoubleSphere,
-}
-
-impl From<Model> for CameraModel {
-    fn from(model: Model) -> Self {
-        match model {
-            Model::Pinhole => Self::Pinhole,
-            Model::Radtan => Self::Radtan,
-            Model::KannalaBrandt => Self::KannalaBrandt,
-            Model::Fov => Self::Fov,
-            Model::Eucm => Self::ExtendedUnified,
-            Model::DoubleSphere => Self::DoubleSphere,
-        }
-    }
+/// A family of lenses by its name.
+fn model() -> impl TypedValueParser<Value = CameraModel> {
+    PossibleValuesParser::new(CameraModel::ALL.map(CameraModel::name)).try_map(|name: String| {
+        CameraModel::ALL.into_iter().find(|model| model.name() == name).ok_or("not a family of lenses")
+    })
 }
 
 fn board_size(text: &str) -> Result<(usize, usize), String> {
@@ -114,8 +98,7 @@ pub fn run(args: &CalibrateArgs) -> Result<()> {
         args.board.0,
         args.board.1
     );
-    let config =
-        CalibrationConfig { model: args.model.into(), with_k3: args.k3, ..CalibrationConfig::default() };
+    let config = CalibrationConfig { model: args.model, with_k3: args.k3, ..CalibrationConfig::default() };
     let calibrated = calibrate(&board, &found.views, found.size, &config)?;
     let text = calibration(&client::camera_message(&calibrated.camera));
     std::fs::write(&args.output, text + "\n")
