@@ -110,12 +110,20 @@ impl Store {
     pub async fn digest(&self, session: &str) -> Result<Digest, StoreError> {
         let mut transaction = self.begin_read().await?;
         let number = session_number(&mut transaction, session).await?;
+        let digest = Digest::read(&mut transaction, number).await?;
+        transaction.commit().await?;
+        Ok(digest)
+    }
+}
+
+impl Digest {
+    /// Of the session of this number; the connection should be in a transaction.
+    pub(crate) async fn read(connection: &mut Connection, session: i64) -> Result<Self, StoreError> {
         let mut tables = Vec::with_capacity(TABLES.len());
         for (table, sql) in TABLES {
-            tables.push(digest_table(&mut transaction, table, sql, number).await?);
+            tables.push(digest_table(connection, table, sql, session).await?);
         }
-        transaction.commit().await?;
-        Ok(Digest(tables))
+        Ok(Self(tables))
     }
 }
 
