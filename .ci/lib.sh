@@ -51,6 +51,18 @@ installed() {
   command -v "$1" >/dev/null
 }
 
+# postgresql: whether its programs are there, after an attempt to install them. Tests start servers of their own.
+postgresql() {
+  local initdb
+  for attempt in 1 2; do
+    for initdb in "$(command -v initdb)" /usr/lib/postgresql/*/bin/initdb; do
+      [ ! -x "$initdb" ] || return 0
+    done
+    [ "$attempt" = 2 ] || installed postgresql || true
+  done
+  return 1
+}
+
 # python_packages: whether there is a Python with the packages of the tests, after an attempt to make one.
 python_packages() {
   [ -z "${READERS_PYTHON:-}" ] || return 0

@@ -1,4 +1,4 @@
-//! Embeds the migrations: writes the list that `src/migrations.rs` includes.
+//! Embeds the migrations: writes the lists that `src/migrations.rs` includes.
 //!
 //! The macro of `sqlx` that does it would compile the whole of SQLite a second time, for the compiler's side.
 
@@ -10,8 +10,14 @@ use std::{env, fs};
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo::rerun-if-changed=../migrations");
     let folder = Path::new(&env::var("CARGO_MANIFEST_DIR")?).join("../migrations").canonicalize()?;
+    write_list(&folder, "migrations.rs")?;
+    write_list(&folder.join("postgres"), "migrations_postgres.rs")
+}
+
+/// Writes the list of a folder's migrations.
+fn write_list(folder: &Path, name: &str) -> Result<(), Box<dyn Error>> {
     let mut files: Vec<PathBuf> =
-        fs::read_dir(&folder)?.map(|entry| Ok(entry?.path())).collect::<Result<_, std::io::Error>>()?;
+        fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<Result<_, std::io::Error>>()?;
     files.retain(|path| path.extension().is_some_and(|extension| extension == "sql"));
     files.sort();
     let mut list = String::from("[\n");
@@ -23,6 +29,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         writeln!(list, "    ({version}, {description:?}, include_str!({path:?})),")?;
     }
     list.push_str("]\n");
-    fs::write(Path::new(&env::var("OUT_DIR")?).join("migrations.rs"), list)?;
+    fs::write(Path::new(&env::var("OUT_DIR")?).join(name), list)?;
     Ok(())
 }

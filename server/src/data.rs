@@ -12,7 +12,7 @@ pub const DATABASE_FILE: &str = "monoslam.sqlite";
 /// Locked in the data folder by the server that uses it.
 const LOCK_FILE: &str = "monoslam.lock";
 
-/// The database of a configuration.
+/// The database file of a configuration, where it names no other database.
 pub fn database_of(config: &Config) -> PathBuf {
     config.data_dir.join(DATABASE_FILE)
 }
@@ -92,12 +92,11 @@ fn lock(file: &File, path: &Path) -> anyhow::Result<()> {
 /// # Errors
 /// If the database cannot be opened.
 pub async fn open_store(config: &Config) -> anyhow::Result<Store> {
+    let options = StoreOptions { max_bytes: config.limits.max_database_bytes, ..config.storage.options() };
+    if let Some(url) = &config.storage.url {
+        return Store::connect(url, options).await.context("storage.url: the database cannot be used");
+    }
     let path = database_of(config);
-    let options = StoreOptions {
-        durability: config.storage.synchronous.into(),
-        max_bytes: config.limits.max_database_bytes,
-        ..StoreOptions::default()
-    };
     Store::open(&path, options).await.with_context(|| format!("cannot open the database {}", path.display()))
 }
 
@@ -106,6 +105,10 @@ pub async fn open_store(config: &Config) -> anyhow::Result<Store> {
 /// # Errors
 /// If the database cannot be opened.
 pub async fn open_store_beside(config: &Config) -> anyhow::Result<Store> {
+    if let Some(url) = &config.storage.url {
+        let opened = Store::connect_beside(url, config.storage.options()).await;
+        return opened.context("storage.url: the database cannot be used");
+    }
     let folder = &config.data_dir;
     std::fs::create_dir_all(folder)
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;

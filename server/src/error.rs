@@ -323,9 +323,11 @@ impl From<StoreError> for ApiError {
             StoreError::SessionExists { .. } => ErrorCode::SessionExists,
             StoreError::OutOfRange { .. } => ErrorCode::InvalidArgument,
             StoreError::DiskFull(_) => ErrorCode::StorageFull,
-            StoreError::Io(_) | StoreError::Busy(_) | StoreError::Gone { .. } | StoreError::Failing(_) => {
-                ErrorCode::StorageFailed
-            }
+            StoreError::Io(_)
+            | StoreError::Busy(_)
+            | StoreError::Gone { .. }
+            | StoreError::Unreachable(_)
+            | StoreError::Failing(_) => ErrorCode::StorageFailed,
             StoreError::Corrupt(_) | StoreError::Map(_) | StoreError::OtherSettings(_) => ErrorCode::DataLoss,
             _ => return Self::internal(with_causes(&error)),
         };

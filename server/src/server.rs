@@ -41,7 +41,9 @@ impl Server {
         let tls = Certificates::of(&config.tls)?;
         let store = open_store(&config).await?;
         let (closing, ended) = (CancellationToken::new(), CancellationToken::new());
-        lock.lock_database(&config.data_dir)?;
+        if store.path().is_some() {
+            lock.lock_database(&config.data_dir)?;
+        }
         let grpc_listener = listen("grpc_addr", config.grpc_addr).await?;
         let http_listener = listen("http_addr", config.http_addr).await?;
         let (grpc_addr, http_addr) = (grpc_listener.local_addr()?, http_listener.local_addr()?);

@@ -77,7 +77,8 @@ fn check(config: &Config, out: &mut impl Write) -> anyhow::Result<()> {
         TcpListener::bind((addr.ip(), 0))
             .with_context(|| format!("{field}: cannot listen on {}", addr.ip()))?;
         let is_open = !addr.ip().to_canonical().is_loopback();
-        if is_open && !config.access.insecure && !database_of(config).exists() {
+        if is_open && !config.access.insecure && config.storage.url.is_none() && !database_of(config).exists()
+        {
             let token = "make one with `monoslam-server token create`";
             writeln!(
                 out,
@@ -129,7 +130,7 @@ fn show(config: &Config, args: &ConfigArgs, out: &mut impl Write) -> anyhow::Res
         let line = if value.is_null() {
             format!("# {field} is not set")
         } else {
-            format!("{field} = {}", toml(value))
+            format!("{field} = {}", without_password(&toml(value)))
         };
         writeln!(out, "{line:<COLUMN$} # {origin}")?;
     }
@@ -137,6 +138,17 @@ fn show(config: &Config, args: &ConfigArgs, out: &mut impl Write) -> anyhow::Res
         writeln!(out, "# {LOG_VARIABLE}={filter} goes before log_filter")?;
     }
     Ok(())
+}
+
+/// A URL without the password in it.
+fn without_password(text: &str) -> String {
+    let hidden = || {
+        let (scheme, rest) = text.split_once("://")?;
+        let (user, host) = rest.rsplit_once('@')?;
+        let (name, _password) = user.split_once(':')?;
+        Some(format!("{scheme}://{name}:***@{host}"))
+    };
+    hidden().unwrap_or_else(|| text.to_owned())
 }
 
 /// Numbers, truth values, and lists of strings look the same in JSON; so do strings without control

@@ -39,7 +39,9 @@ impl Soundness {
         if !config.check_at_start {
             return soundness;
         }
-        let n_bytes = store.path().metadata().map_or(0, |file| file.len());
+        // PostgreSQL looks after its files itself.
+        let Some(path) = store.path() else { return soundness };
+        let n_bytes = path.metadata().map_or(0, |file| file.len());
         soundness.lock().look = Look::Running;
         soundness.publish();
         let looking = soundness.clone().look_at(store.clone(), closing.clone());

@@ -1,13 +1,25 @@
-//! How the database is kept: what a commit outlives, and when damage is looked for.
+//! Where the database is and how it is kept: what a commit outlives, and when damage is looked for.
 
 use anyhow::ensure;
 use serde::{Deserialize, Serialize};
-use store::Durability;
+use std::time::Duration;
+use store::{Durability, StoreOptions};
 
-/// How the database is kept.
+/// Where the database is and how it is kept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StorageConfig {
+    /// A database of PostgreSQL, such as `postgres://monoslam@db.example/maps?sslmode=verify-full`; the
+    /// password is better in `PGPASSWORD` or `~/.pgpass`. Default none: a file of SQLite in the data folder.
+    pub url: Option<String>,
+    /// Connections to PostgreSQL at most, half of them to write. Default 8: PostgreSQL takes 100 by default,
+    /// for all servers together.
+    pub n_connections: u32,
+    /// Seconds to wait for a connection to PostgreSQL before the request is refused; what waits to be saved
+    /// is tried again. Default 5.
+    pub connect_timeout_s: u32,
+    /// Seconds a statement may take in PostgreSQL. Default 30, a thousand times what any takes.
+    pub statement_timeout_s: u32,
     /// What a commit outlives. Default `full`.
     pub synchronous: Synchronous,
     /// Whether damaged pages are looked for when the server starts. Default true: damage that is found years
@@ -43,6 +55,10 @@ impl From<Synchronous> for Durability {
 impl Default for StorageConfig {
     fn default() -> Self {
         Self {
+            url: None,
+            n_connections: 8,
+            connect_timeout_s: 5,
+            statement_timeout_s: 30,
             synchronous: Synchronous::default(),
             check_at_start: true,
             check_beside_above_bytes: 256 << 20,
@@ -51,11 +67,41 @@ impl Default for StorageConfig {
 }
 
 impl StorageConfig {
+    /// How the store uses the database.
+    pub fn options(&self) -> StoreOptions {
+        let n_writers = (self.n_connections / 2).max(1);
+        StoreOptions {
+            durability: self.synchronous.into(),
+            n_writers,
+            // SQLite's own default where there is no server to share.
+            n_readers: match self.url {
+                Some(_) => self.n_connections.saturating_sub(n_writers).max(1),
+                None => StoreOptions::default().n_readers,
+            },
+            connect_timeout: Duration::from_secs(self.connect_timeout_s.into()),
+            statement_timeout: Duration::from_secs(self.statement_timeout_s.into()),
+            ..StoreOptions::default()
+        }
+    }
+
     /// Checks that every field can be used.
     ///
     /// # Errors
     /// A sentence that names the field that cannot.
     pub fn validate(&self) -> anyhow::Result<()> {
+        let counts = [
+            ("storage.n_connections", self.n_connections),
+            ("storage.connect_timeout_s", self.connect_timeout_s),
+            ("storage.statement_timeout_s", self.statement_timeout_s),
+        ];
+        for (field, count) in counts {
+            ensure!((1..=10_000).contains(&count), "{field} is {count} but must be 1 to 10000");
+        }
+        if let Some(url) = &self.url {
+            let is_postgres = url.starts_with("postgres://") || url.starts_with("postgresql://");
+            // Without the URL: it may hold a password.
+            ensure!(is_postgres, "storage.url must begin with postgres://");
+        }
         let bytes = self.check_beside_above_bytes;
         ensure!(
             bytes <= i64::MAX as u64,

@@ -55,7 +55,7 @@ impl UpkeepCommand {
     pub async fn run(&self, config: &Config, out: &mut impl Write) -> anyhow::Result<()> {
         match self {
             Self::Check => {
-                let file = database_of(config);
+                let file = file_of(config)?;
                 ensure!(file.exists(), "there is no database at {}", file.display());
                 verify(&file, out).await
             }
@@ -68,6 +68,16 @@ impl UpkeepCommand {
             Self::Compact => compact(config, out).await,
         }
     }
+}
+
+/// The file that is looked after.
+fn file_of(config: &Config) -> anyhow::Result<PathBuf> {
+    ensure!(
+        config.storage.url.is_none(),
+        "the database is one of PostgreSQL (storage.url), which has its own programs for this: pg_dump or \
+         pg_basebackup and pg_restore, pg_amcheck; room is given back by its autovacuum"
+    );
+    Ok(database_of(config))
 }
 
 async fn verify(file: &Path, out: &mut impl Write) -> anyhow::Result<()> {
@@ -96,7 +106,7 @@ async fn verify(file: &Path, out: &mut impl Write) -> anyhow::Result<()> {
 }
 
 async fn back_up(config: &Config, file: &Path, force: bool, out: &mut impl Write) -> anyhow::Result<()> {
-    let from = database_of(config);
+    let from = file_of(config)?;
     ensure!(from.exists(), "there is no database at {}", from.display());
     ensure!(
         force || !file.exists(),
@@ -123,8 +133,8 @@ async fn back_up(config: &Config, file: &Path, force: bool, out: &mut impl Write
 
 async fn restore(config: &Config, file: &Path, force: bool, out: &mut impl Write) -> anyhow::Result<()> {
     ensure!(file.exists(), "there is no file {}", file.display());
+    let database = file_of(config)?;
     let _lock = DataLock::take(&config.data_dir)?;
-    let database = database_of(config);
     ensure!(
         force || !database.exists(),
         "there is a database at {}: give --force to put the backup in its place, which keeps that one beside it",
@@ -240,7 +250,7 @@ async fn shown<T, E: Into<anyhow::Error>>(
 }
 
 async fn compact(config: &Config, out: &mut impl Write) -> anyhow::Result<()> {
-    let file = database_of(config);
+    let file = file_of(config)?;
     ensure!(file.exists(), "there is no database at {}", file.display());
     let _lock = DataLock::take(&config.data_dir)?;
     // The limit is of what sessions may fill, and not of the copy that is made meanwhile.

@@ -1,7 +1,9 @@
-//! Copies of a database: made while others use it, and looked at without being changed.
+//! Copies of a database file, by SQLite; PostgreSQL has its own programs for it (`pg_dump`, `pg_basebackup`).
+//! Made while others use it, and looked at without being changed.
 
+use crate::engine::query;
+use crate::engine::sqlite::{reading, schema_of, whole_file};
 use crate::error::{is_damage, is_interrupted};
-use crate::open::{schema_of, whole_file};
 use crate::{Finding, Store, StoreError};
 use sqlx::{Connection, Row, SqliteConnection};
 use std::path::{Path, PathBuf};
@@ -40,7 +42,7 @@ impl Store {
     /// # Errors
     /// If the database cannot be read or is none of ours, or the file cannot be written.
     pub async fn back_up(from: &Path, into: &Path) -> Result<(), StoreError> {
-        let options = crate::open::reading(from, &crate::StoreOptions::default());
+        let options = reading(from, &crate::StoreOptions::default());
         let supported = Self::schema_version();
         match schema_of(from, &options).await? {
             Some(found) if found > supported => return Err(StoreError::NewerSchema { found, supported }),
@@ -62,7 +64,7 @@ impl Store {
     /// # Errors
     /// If the database cannot be read.
     pub async fn used_bytes(path: &Path) -> Result<u64, StoreError> {
-        let options = crate::open::reading(path, &crate::StoreOptions::default());
+        let options = reading(path, &crate::StoreOptions::default());
         let mut connection = SqliteConnection::connect_with(&options).await?;
         let mut pragma = async |statement| -> Result<u64, StoreError> {
             let n: i64 = sqlx::query_scalar(statement).fetch_one(&mut connection).await?;
@@ -83,7 +85,7 @@ impl Store {
     pub async fn verify(path: &Path) -> Result<Verified, StoreError> {
         let log = PathBuf::from(format!("{}-wal", path.display()));
         let n_log_bytes = log.metadata().map_or(0, |log| log.len());
-        let options = crate::open::reading(path, &crate::StoreOptions::default());
+        let options = reading(path, &crate::StoreOptions::default());
         let with_log = match n_log_bytes {
             // Without a log there is nothing to share, and no file has to be made to read this one.
             0 => None,
@@ -116,8 +118,9 @@ impl Store {
     }
 
     /// Looks for damaged pages: every page is read and its structure checked, without the contents of
-    /// indexes. What is wrong with the file; then each session is looked at and what is wrong there is told
-    /// too. It is asked now and then whether to `go_on`.
+    /// indexes. PostgreSQL does that itself (data checksums, amcheck), and nothing is found. What is wrong
+    /// with the file; then each session is looked at and what is wrong there is told too. It is asked now and
+    /// then whether to `go_on`.
     ///
     /// # Errors
     /// If the database cannot be read at all, and [`StoreError::Stopped`] if it was not to go on.
@@ -126,7 +129,8 @@ impl Store {
         go_on: impl FnMut() -> bool + Send + 'static,
     ) -> Result<Vec<Finding>, StoreError> {
         // Not one of the readers: it is in use for as long as the file is large.
-        let options = crate::open::reading(self.path(), &crate::StoreOptions::default());
+        let Some(path) = self.path() else { return Ok(Vec::new()) };
+        let options = reading(path, &crate::StoreOptions::default());
         let mut connection = SqliteConnection::connect_with(&options).await?;
         connection.lock_handle().await?.set_progress_handler(STEPS_BETWEEN_LOOKS, go_on);
         let lines = sqlx::query("PRAGMA quick_check(100)").fetch_all(&mut connection).await;
@@ -147,9 +151,7 @@ impl Store {
 
     async fn count_named(&self) -> Result<u64, StoreError> {
         let mut reader = self.reader().await?;
-        let n: i64 = sqlx::query_scalar("SELECT count(*) FROM sessions WHERE id IS NOT NULL")
-            .fetch_one(&mut *reader)
-            .await?;
+        let n: i64 = query("SELECT count(*) FROM sessions WHERE id IS NOT NULL").only(&mut reader).await?;
         Ok(u64::try_from(n).unwrap_or(0))
     }
 }

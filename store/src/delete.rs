@@ -1,8 +1,8 @@
 //! Deleting sessions.
 
-use crate::save::id_list;
+use crate::engine::{Connection, query};
+use crate::points::cell::MAX_POINT_ID;
 use crate::{Store, StoreError};
-use sqlx::SqliteConnection;
 
 /// Rows deleted per transaction: other sessions' commits wait some tens of milliseconds at most.
 const ROWS_PER_STEP: i64 = 5_000;
@@ -20,38 +20,40 @@ enum Step {
 const STEPS: [Step; 9] = [
     // Pages of blobs are what takes the time here, hence fewer rows.
     Step::Rows(
-        "DELETE FROM keyframe_images WHERE session = ?1 AND keyframe IN
-             (SELECT keyframe FROM keyframe_images WHERE session = ?1 LIMIT ?2 / 50)",
+        "DELETE FROM keyframe_images WHERE session = $1 AND keyframe IN
+             (SELECT keyframe FROM keyframe_images WHERE session = $1 LIMIT $2 / 50)",
     ),
     Step::Rows(
-        "DELETE FROM keyframe_features WHERE session = ?1 AND keyframe IN
-             (SELECT keyframe FROM keyframe_features WHERE session = ?1 LIMIT ?2 / 50)",
+        "DELETE FROM keyframe_features WHERE session = $1 AND keyframe IN
+             (SELECT keyframe FROM keyframe_features WHERE session = $1 LIMIT $2 / 50)",
     ),
     Step::Rows(
-        "DELETE FROM frames WHERE session = ?1 AND sequence IN
-             (SELECT sequence FROM frames WHERE session = ?1 LIMIT ?2)",
+        "DELETE FROM frames WHERE session = $1 AND sequence IN
+             (SELECT sequence FROM frames WHERE session = $1 LIMIT $2)",
     ),
     Step::Rows(
-        "DELETE FROM points WHERE session = ?1 AND id IN (SELECT id FROM points WHERE session = ?1 LIMIT ?2)",
-    ),
-    Step::Cells {
-        select: "SELECT key FROM point_cells WHERE session_min >= ?1 AND session_max <= ?1 LIMIT ?2",
-        delete: "DELETE FROM point_cells WHERE key IN (SELECT value FROM json_each(?))",
-    },
-    Step::Rows(
-        "DELETE FROM lines WHERE session = ?1 AND id IN (SELECT id FROM lines WHERE session = ?1 LIMIT ?2)",
+        "DELETE FROM points WHERE session = $1 AND id IN (SELECT id FROM points WHERE session = $1 LIMIT $2)",
     ),
     Step::Cells {
-        select: "SELECT key FROM line_cells WHERE session_min >= ?1 AND session_max <= ?1 LIMIT ?2",
-        delete: "DELETE FROM line_cells WHERE key IN (SELECT value FROM json_each(?))",
+        select: "SELECT key FROM point_cells
+             WHERE session_min = $1 AND key BETWEEN ($1 << 40) AND (($1 << 40) | $3) LIMIT $2",
+        delete: "DELETE FROM point_cells WHERE key IN IDS($1)",
     },
     Step::Rows(
-        "DELETE FROM keyframe_vanishing WHERE session = ?1 AND keyframe IN
-             (SELECT keyframe FROM keyframe_vanishing WHERE session = ?1 LIMIT ?2 / 10)",
+        "DELETE FROM lines WHERE session = $1 AND id IN (SELECT id FROM lines WHERE session = $1 LIMIT $2)",
+    ),
+    Step::Cells {
+        select: "SELECT key FROM line_cells
+             WHERE session_min = $1 AND key BETWEEN ($1 << 40) AND (($1 << 40) | $3) LIMIT $2",
+        delete: "DELETE FROM line_cells WHERE key IN IDS($1)",
+    },
+    Step::Rows(
+        "DELETE FROM keyframe_vanishing WHERE session = $1 AND keyframe IN
+             (SELECT keyframe FROM keyframe_vanishing WHERE session = $1 LIMIT $2 / 10)",
     ),
     Step::Rows(
-        "DELETE FROM removed_keyframes WHERE session = ?1 AND id IN
-             (SELECT id FROM removed_keyframes WHERE session = ?1 LIMIT ?2)",
+        "DELETE FROM removed_keyframes WHERE session = $1 AND id IN
+             (SELECT id FROM removed_keyframes WHERE session = $1 LIMIT $2)",
     ),
 ];
 
@@ -66,11 +68,10 @@ impl Store {
     /// [`StoreError::SessionNotFound`] if there is none of this name.
     pub async fn delete_session(&self, id: &str) -> Result<(), StoreError> {
         let mut transaction = self.begin_write().await?;
-        let number: Option<i64> =
-            sqlx::query_scalar("UPDATE sessions SET id = NULL WHERE id = ? RETURNING number")
-                .bind(id)
-                .fetch_optional(&mut *transaction)
-                .await?;
+        let number: Option<i64> = query("UPDATE sessions SET id = NULL WHERE id = $1 RETURNING number")
+            .bind(id)
+            .scalar(&mut transaction)
+            .await?;
         let number = number.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?;
         transaction.commit().await?;
         match self.clear_session(number).await {
@@ -86,9 +87,8 @@ impl Store {
     /// Finishes deletions that were interrupted.
     pub(crate) async fn clear_deleted_sessions(&self) -> Result<(), StoreError> {
         let mut reader = self.reader().await?;
-        let numbers: Vec<i64> = sqlx::query_scalar("SELECT number FROM sessions WHERE id IS NULL")
-            .fetch_all(&mut *reader)
-            .await?;
+        let numbers: Vec<i64> =
+            query("SELECT number FROM sessions WHERE id IS NULL").scalars(&mut reader).await?;
         drop(reader);
         for number in numbers {
             tracing::info!(number, "clearing away a session whose deletion was interrupted");
@@ -112,15 +112,14 @@ impl Store {
         let mut transaction = self.begin_write().await?;
         let n_deleted = match step {
             Step::Rows(delete) => {
-                let query = sqlx::query(*delete).bind(number).bind(ROWS_PER_STEP);
-                query.execute(&mut *transaction).await?.rows_affected()
+                query(*delete).bind(number).bind(ROWS_PER_STEP).execute(&mut transaction).await?
             }
             Step::Cells { select, delete } => {
-                let query = sqlx::query_scalar(*select).bind(number).bind(ROWS_PER_STEP);
-                let keys: Vec<i64> = query.fetch_all(&mut *transaction).await?;
-                let list = id_list(keys.iter().map(|key| *key as u64));
-                sqlx::query(*delete).bind(list).execute(&mut *transaction).await?;
-                keys.len() as u64
+                let keys = query(*select).bind(number).bind(ROWS_PER_STEP).bind(MAX_POINT_ID as i64);
+                let keys: Vec<i64> = keys.scalars(&mut transaction).await?;
+                let n_keys = keys.len() as u64;
+                query(*delete).bind(keys).execute(&mut transaction).await?;
+                n_keys
             }
         };
         transaction.commit().await?;
@@ -128,7 +127,7 @@ impl Store {
     }
 }
 
-async fn delete_row(connection: &mut SqliteConnection, number: i64) -> Result<(), StoreError> {
-    sqlx::query("DELETE FROM sessions WHERE number = ?").bind(number).execute(connection).await?;
+async fn delete_row(connection: &mut Connection, number: i64) -> Result<(), StoreError> {
+    query("DELETE FROM sessions WHERE number = $1").bind(number).execute(connection).await?;
     Ok(())
 }

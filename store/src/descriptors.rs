@@ -1,11 +1,11 @@
 //! What a map's points look like, without the rest of it: enough to tell whether an image may show the map.
 
+use crate::engine::query;
 use crate::load::blocking;
 use crate::number::keyframe_id;
 use crate::session::session_number;
 use crate::{Store, StoreError};
 use slam::map::KeyframeId;
-use sqlx::Row;
 use std::collections::BTreeMap;
 use vision::Descriptor;
 
@@ -25,13 +25,13 @@ impl Store {
         let number = session_number(&mut transaction, session).await?;
         let (mut all, mut after) = (BTreeMap::<KeyframeId, Vec<Descriptor>>::new(), 0_i64);
         loop {
-            let rows = sqlx::query(
-                "SELECT id, created_by, descriptor FROM points WHERE session = ? AND id > ? ORDER BY id LIMIT ?",
+            let rows = query(
+                "SELECT id, created_by, descriptor FROM points WHERE session = $1 AND id > $2 ORDER BY id LIMIT $3",
             )
             .bind(number)
             .bind(after)
             .bind(POINTS_PER_STEP)
-            .fetch_all(&mut *transaction)
+            .fetch_all(&mut transaction)
             .await?;
             let Some(last) = rows.last() else { break };
             after = last.try_get(0)?;

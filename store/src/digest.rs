@@ -1,12 +1,11 @@
 //! A fingerprint of everything a session has stored, to compare two runs.
 
+use crate::engine::{Connection, HeldValue, Row, query};
 use crate::points::cell::MAX_POINT_ID;
 use crate::session::session_number;
 use crate::{Store, StoreError};
 use futures_util::TryStreamExt;
 use sha2::Digest as _;
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, SqliteConnection, TypeInfo, ValueRef};
 use std::fmt;
 
 /// Fingerprints of a session's tables. Equal for two sessions whose rows are the same, byte for byte, apart
@@ -36,69 +35,70 @@ impl fmt::Display for Digest {
     }
 }
 
-/// Every table with every column but the session's number and name and wall-clock time, ordered by key.
+/// Every table with every column but the session's number and name and wall-clock time, ordered by key; of
+/// cells, which follow from the rows and which [`Store::check`] compares with them, which there are.
 /// Parameter 1 is the session's number, 2 the mask of a point's id in a key.
 const TABLES: [(&str, &str); 13] = [
     (
         "sessions",
         "SELECT camera, options, state, last_sequence, last_timestamp_ns, last_keyframe_id, last_point_id, last_line_id,
-         last_primitive_id, n_frames, n_keyframes, n_points, n_lines, n_primitives, n_submaps, metres_per_unit FROM sessions WHERE number = ?1",
+         last_primitive_id, n_frames, n_keyframes, n_points, n_lines, n_primitives, n_submaps, metres_per_unit FROM sessions WHERE number = $1",
     ),
     (
         "keyframes",
         "SELECT id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, unit, parent, n_keypoints, n_points,
-         n_segments, n_lines FROM keyframes WHERE session = ?1 ORDER BY id",
+         n_segments, n_lines FROM keyframes WHERE session = $1 ORDER BY id",
     ),
     (
         "keyframe_features",
-        "SELECT keyframe, features FROM keyframe_features WHERE session = ?1 ORDER BY keyframe",
+        "SELECT keyframe, features FROM keyframe_features WHERE session = $1 ORDER BY keyframe",
     ),
     (
         "keyframe_images",
-        "SELECT keyframe, media_type, bytes FROM keyframe_images WHERE session = ?1 ORDER BY keyframe",
+        "SELECT keyframe, media_type, bytes FROM keyframe_images WHERE session = $1 ORDER BY keyframe",
     ),
     (
         "removed_keyframes",
-        "SELECT id, anchor, qx, qy, qz, qw, tx, ty, tz FROM removed_keyframes WHERE session = ?1 ORDER BY id",
+        "SELECT id, anchor, qx, qy, qz, qw, tx, ty, tz FROM removed_keyframes WHERE session = $1 ORDER BY id",
     ),
     (
         "points",
         "SELECT id, submap, x, y, z, descriptor, view_x, view_y, view_z, min_distance, max_distance, created_by,
-         n_visible, n_found, n_observations, observations FROM points WHERE session = ?1 ORDER BY id",
+         n_visible, n_found, n_observations, observations FROM points WHERE session = $1 ORDER BY id",
     ),
     (
         "point_cells",
-        "SELECT key & ?2, x_min, x_max, y_min, y_max, z_min, z_max FROM point_cells
-         WHERE session_min >= ?1 AND session_max <= ?1 ORDER BY key",
+        "SELECT key & $2 FROM point_cells
+         WHERE session_min = $1 AND key BETWEEN ($1 << 40) AND (($1 << 40) | $2) ORDER BY key",
     ),
     (
         "keyframe_vanishing",
-        "SELECT keyframe, vanishing FROM keyframe_vanishing WHERE session = ?1 ORDER BY keyframe",
+        "SELECT keyframe, vanishing FROM keyframe_vanishing WHERE session = $1 ORDER BY keyframe",
     ),
     (
         "lines",
         "SELECT id, submap, moment_x, moment_y, moment_z, direction_x, direction_y, direction_z, start_x, start_y,
          start_z, end_x, end_y, end_z, descriptor, created_by, n_visible, n_found, primitive, n_observations,
-         observations FROM lines WHERE session = ?1 ORDER BY id",
+         observations FROM lines WHERE session = $1 ORDER BY id",
     ),
     (
         "line_cells",
-        "SELECT key & ?2, x_min, x_max, y_min, y_max, z_min, z_max FROM line_cells
-         WHERE session_min >= ?1 AND session_max <= ?1 ORDER BY key",
+        "SELECT key & $2 FROM line_cells
+         WHERE session_min = $1 AND key BETWEEN ($1 << 40) AND (($1 << 40) | $2) ORDER BY key",
     ),
     (
         "primitives",
         "SELECT id, submap, direction_x, direction_y, direction_z, covariance, created_by, n_observations,
-         observations FROM primitives WHERE session = ?1 ORDER BY id",
+         observations FROM primitives WHERE session = $1 ORDER BY id",
     ),
     (
         "frames",
         "SELECT sequence, timestamp_ns, state, backfilled, submap, reference, qx, qy, qz, qw, tx, ty, tz
-         FROM frames WHERE session = ?1 ORDER BY sequence",
+         FROM frames WHERE session = $1 ORDER BY sequence",
     ),
     (
         "segments",
-        "SELECT first_sequence, ahead_ns FROM segments WHERE session = ?1 ORDER BY first_sequence",
+        "SELECT first_sequence, ahead_ns FROM segments WHERE session = $1 ORDER BY first_sequence",
     ),
 ];
 
@@ -120,14 +120,20 @@ impl Store {
 }
 
 async fn digest_table(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     table: &'static str,
     sql: &'static str,
     session: i64,
 ) -> Result<TableDigest, StoreError> {
     let mut hasher = sha2::Sha256::new();
     let mut n_rows = 0;
-    let mut rows = sqlx::query(sql).bind(session).bind(MAX_POINT_ID as i64).fetch(connection);
+    let mut statement = query(sql).bind(session);
+    // A statement is prepared with as many values as it is given, and others of the same text give what is in
+    // it.
+    if sql.contains("$2") {
+        statement = statement.bind(MAX_POINT_ID as i64);
+    }
+    let mut rows = statement.fetch(connection);
     while let Some(row) = rows.try_next().await? {
         n_rows += 1;
         (0..row.len()).try_for_each(|column| hash_value(&mut hasher, &row, column))?;
@@ -136,24 +142,19 @@ async fn digest_table(
 }
 
 /// Hashes a value with its type and, where it varies, its length, so that no two rows hash the same by
-/// accident.
-fn hash_value(hasher: &mut sha2::Sha256, row: &SqliteRow, column: usize) -> Result<(), StoreError> {
-    let value = row.try_get_raw(column)?;
-    if value.is_null() {
-        hasher.update(b"n");
-        return Ok(());
-    }
-    let type_info = value.type_info();
+/// accident. The same in either database: SQLite knows no negative zero.
+fn hash_value(hasher: &mut sha2::Sha256, row: &Row, column: usize) -> Result<(), StoreError> {
     let mut sized = |tag: &[u8], bytes: &[u8]| {
         hasher.update(tag);
         hasher.update((bytes.len() as u64).to_le_bytes());
         hasher.update(bytes);
     };
-    match type_info.name() {
-        "REAL" => sized(b"r", &row.try_get::<f64, _>(column)?.to_bits().to_le_bytes()),
-        "TEXT" => sized(b"t", row.try_get::<&str, _>(column)?.as_bytes()),
-        "BLOB" => sized(b"b", row.try_get::<&[u8], _>(column)?),
-        _ => sized(b"i", &row.try_get::<i64, _>(column)?.to_le_bytes()),
+    match row.any(column)? {
+        HeldValue::Null => hasher.update(b"n"),
+        HeldValue::Real(value) => sized(b"r", &(value + 0.0).to_bits().to_le_bytes()),
+        HeldValue::Text(text) => sized(b"t", text.as_bytes()),
+        HeldValue::Bytes(bytes) => sized(b"b", bytes),
+        HeldValue::Int(value) => sized(b"i", &value.to_le_bytes()),
     }
     Ok(())
 }

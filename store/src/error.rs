@@ -1,6 +1,8 @@
 //! What can go wrong with the database, sorted by what the caller can do about it.
 
 use slam::map::MapError;
+use sqlx::error::DatabaseError as _;
+use sqlx::sqlite::SqliteError;
 
 /// Why the store could not do what it was asked. Each message is a plain sentence.
 #[derive(Debug, thiserror::Error)]
@@ -82,6 +84,13 @@ pub enum StoreError {
     /// Somebody else kept the database locked for longer than the time allowed.
     #[error("the database is in use by another program")]
     Busy(#[source] sqlx::Error),
+    /// PostgreSQL does not answer, does not take connections, or ended this one. The last commit is intact
+    /// and the update can be tried again.
+    #[error("PostgreSQL cannot be reached or used at present: {0}")]
+    Unreachable(#[source] sqlx::Error),
+    /// Where the database should be is no address.
+    #[error("the address of the database cannot be used: {0}")]
+    Address(String),
     /// What is stored cannot be understood.
     #[error("the database is damaged: {0}")]
     Corrupt(String),
@@ -108,7 +117,12 @@ impl StoreError {
         // What one session has damaged is not the others' concern.
         matches!(
             self,
-            Self::DiskFull(_) | Self::Io(_) | Self::Busy(_) | Self::Gone { .. } | Self::Database(_)
+            Self::DiskFull(_)
+                | Self::Io(_)
+                | Self::Busy(_)
+                | Self::Gone { .. }
+                | Self::Unreachable(_)
+                | Self::Database(_)
         )
     }
 
@@ -158,9 +172,10 @@ impl From<sqlx::Error> for StoreError {
     }
 }
 
-/// SQLite's result code without its extension.
+/// SQLite's result code without its extension; `None` of other databases' errors.
 pub(crate) fn primary_code(error: &sqlx::Error) -> Option<i32> {
-    let extended: i32 = error.as_database_error()?.code()?.parse().ok()?;
+    let error = error.as_database_error()?.try_downcast_ref::<SqliteError>()?;
+    let extended: i32 = error.code()?.parse().ok()?;
     Some(extended & 0xff)
 }
 

@@ -1,5 +1,6 @@
 //! Every frame of a session, with or without a pose, and which keyframe moves it.
 
+use crate::engine::{Row, query};
 use crate::number::{from_column, keyframe_id, to_column};
 use crate::pose::{PoseBook, read_pose};
 use crate::session::{parse_state, session_number};
@@ -7,8 +8,6 @@ use crate::{Store, StoreError};
 use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
 use geometry::Pose;
 use slam::map::{FrameState, KeyframeId, SubmapId};
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 /// One frame of a session.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,7 +42,7 @@ pub struct FramePlace {
 const FRAMES_PER_STEP: i64 = 512;
 
 const SELECT_FRAMES: &str = "SELECT sequence, timestamp_ns, state, backfilled, reference, \
-     qx, qy, qz, qw, tx, ty, tz, reason FROM frames WHERE session = ?1 AND sequence >= ?2 ORDER BY sequence LIMIT ?3";
+     qx, qy, qz, qw, tx, ty, tz, reason FROM frames WHERE session = $1 AND sequence >= $2 ORDER BY sequence LIMIT $3";
 
 impl Store {
     /// Every frame of a session in the order of their numbers. Poses of keyframes are read at once, frames as
@@ -61,11 +60,11 @@ impl Store {
         transaction.commit().await?;
         let start = (self.clone(), book, 0_u64);
         let steps = stream::try_unfold(start, move |(store, book, next)| async move {
-            let rows = sqlx::query(SELECT_FRAMES)
+            let rows = query(SELECT_FRAMES)
                 .bind(number)
                 .bind(to_column("sequence", next)?)
                 .bind(FRAMES_PER_STEP)
-                .fetch_all(&mut *store.reader().await?)
+                .fetch_all(&mut store.reader().await?)
                 .await?;
             let frames = rows.iter().map(|row| parse_frame(row, &book)).collect::<Result<Vec<_>, _>>()?;
             let Some(last) = frames.last() else { return Ok::<_, StoreError>(None) };
@@ -76,7 +75,7 @@ impl Store {
     }
 }
 
-fn parse_frame(row: &SqliteRow, book: &PoseBook) -> Result<FrameEntry, StoreError> {
+fn parse_frame(row: &Row, book: &PoseBook) -> Result<FrameEntry, StoreError> {
     let reference: Option<i64> = row.try_get(4)?;
     let place = match reference {
         None => None,

@@ -1,11 +1,10 @@
 //! Which keyframes see the same landmarks.
 
 use crate::blob::decode_observations;
+use crate::engine::{Row, query};
 use crate::load::blocking;
 use crate::{MapSnapshot, StoreError};
 use slam::map::{KeyframeId, Observation};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{AssertSqlSafe, Row};
 use std::collections::BTreeMap;
 
 /// What two keyframes both see.
@@ -40,16 +39,13 @@ impl MapSnapshot {
         count: fn(&mut SharedLandmarks) -> &mut u32,
     ) -> Result<Covisibility, StoreError> {
         let sql = format!(
-            "SELECT id, observations FROM {table} WHERE session = ? AND id > ? ORDER BY id LIMIT {LANDMARKS_PER_STEP}"
+            "SELECT id, observations FROM {table} WHERE session = $1 AND id > $2 ORDER BY id LIMIT {LANDMARKS_PER_STEP}"
         );
         let (session, mut after) = (self.session(), 0_i64);
         loop {
             // Safe: the text is made of constants.
-            let rows: Vec<SqliteRow> = sqlx::query(AssertSqlSafe(sql.as_str()))
-                .bind(session)
-                .bind(after)
-                .fetch_all(self.connection())
-                .await?;
+            let rows: Vec<Row> =
+                query(sql.clone()).bind(session).bind(after).fetch_all(self.connection()).await?;
             let Some(last) = rows.last() else { return Ok(pairs) };
             after = last.try_get(0)?;
             let counted = blocking(move || {

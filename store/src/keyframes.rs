@@ -1,13 +1,12 @@
 //! Keyframes without their features, and their images.
 
+use crate::engine::{Connection, Row, query};
 use crate::number::{from_column, from_column_u32, keyframe_column, keyframe_id, submap_id};
 use crate::pose::read_pose;
 use crate::session::session_number;
 use crate::{Page, Store, StoreError};
 use geometry::Pose;
 use slam::map::{KeyframeId, SubmapId};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, SqliteConnection};
 
 /// A stored keyframe.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,7 +47,7 @@ pub struct StoredImage {
 const SELECT_KEYFRAMES: &str = "SELECT id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, \
      n_keypoints, n_points, n_segments, n_lines, \
      EXISTS (SELECT 1 FROM keyframe_images i WHERE i.session = k.session AND i.keyframe = k.id) \
-     FROM keyframes k WHERE session = ?1 AND id BETWEEN ?2 AND ?3 ORDER BY id LIMIT ?4";
+     FROM keyframes k WHERE session = $1 AND id BETWEEN $2 AND $3 ORDER BY id LIMIT $4";
 
 impl Store {
     /// Up to `page_size` keyframes with ids above the given one.
@@ -90,12 +89,11 @@ impl Store {
     ) -> Result<Option<StoredImage>, StoreError> {
         let mut reader = self.reader().await?;
         let number = session_number(&mut reader, session).await?;
-        let row =
-            sqlx::query("SELECT media_type, bytes FROM keyframe_images WHERE session = ? AND keyframe = ?")
-                .bind(number)
-                .bind(keyframe_column(id)?)
-                .fetch_optional(&mut *reader)
-                .await?;
+        let row = query("SELECT media_type, bytes FROM keyframe_images WHERE session = $1 AND keyframe = $2")
+            .bind(number)
+            .bind(keyframe_column(id)?)
+            .fetch_optional(&mut reader)
+            .await?;
         row.map(|row| Ok(StoredImage { media_type: row.try_get(0)?, bytes: row.try_get(1)? })).transpose()
     }
 
@@ -114,13 +112,13 @@ impl Store {
 
 /// Keyframes with ids from `first` to `last`, at most `limit`.
 pub(crate) async fn select_keyframes(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     first: i64,
     last: i64,
     limit: i64,
 ) -> Result<Vec<KeyframeRecord>, StoreError> {
-    let rows = sqlx::query(SELECT_KEYFRAMES)
+    let rows = query(SELECT_KEYFRAMES)
         .bind(session)
         .bind(first)
         .bind(last)
@@ -130,7 +128,7 @@ pub(crate) async fn select_keyframes(
     rows.iter().map(parse_keyframe).collect()
 }
 
-fn parse_keyframe(row: &SqliteRow) -> Result<KeyframeRecord, StoreError> {
+fn parse_keyframe(row: &Row) -> Result<KeyframeRecord, StoreError> {
     let parent: Option<i64> = row.try_get(11)?;
     Ok(KeyframeRecord {
         id: keyframe_id(row.try_get(0)?)?,

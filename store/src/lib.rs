@@ -1,5 +1,5 @@
-//! Where maps are kept: sessions, keyframes, points, lines, global primitives and trajectories in one SQLite
-//! file.
+//! Where maps are kept: sessions, keyframes, points, lines, global primitives and trajectories, in one SQLite
+//! file or in a database of PostgreSQL.
 //!
 //! Start at [`Store`]. It takes and returns the types of `slam` and `geometry`, and nothing outside this
 //! crate knows that SQL is behind it.
@@ -11,6 +11,9 @@
 //!   answer questions about sessions, loaded or not, without holding a map in memory; [`Store::snapshot`]
 //!   reads a whole map piece by piece as of one commit. [`Store::check`] says whether everything stored makes
 //!   sense.
+//!
+//! [`Store::open`] opens a file, [`Store::connect`] a database of PostgreSQL; after that nothing differs but
+//! what looks after files. Both take the same statements: `engine` sends them and says what differs.
 //!
 //! After the end of the process, or of the machine, at any moment the database is as of its last commit:
 //! SQLite's write-ahead log, one writing connection, and one transaction per update see to that. Which
@@ -54,6 +57,7 @@ mod check;
 mod delete;
 mod descriptors;
 mod digest;
+mod engine;
 mod error;
 mod frames;
 #[cfg(fuzzing)]

@@ -1,6 +1,7 @@
 //! Loading a session's map, to take it up again.
 
 use crate::blob::{FeatureSettings, decode_features, decode_vanishing};
+use crate::engine::{Connection, Row, query};
 use crate::lines::{LINE_COLUMNS, parse_line};
 use crate::mask::read_mask;
 use crate::number::{from_column, keyframe_id, submap_id};
@@ -14,8 +15,6 @@ use crate::{SessionRecord, Store, StoreError};
 use geometry::Camera;
 use slam::map::{LastIds, MapParts};
 use slam::{Keyframe, ResumeState, SlamConfig};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{AssertSqlSafe, Row, SqliteConnection};
 use std::sync::Arc;
 
 /// Keyframes fetched at a time, some 3 MB of features.
@@ -46,10 +45,8 @@ impl Store {
     /// [`StoreError::Corrupt`] if a row cannot be understood.
     pub async fn load_session(&self, id: &str, config: &SlamConfig) -> Result<LoadedSession, StoreError> {
         let mut transaction = self.begin_read().await?;
-        let row = sqlx::query("SELECT * FROM sessions WHERE id = ?")
-            .bind(id)
-            .fetch_optional(&mut *transaction)
-            .await?;
+        let row =
+            query("SELECT * FROM sessions WHERE id = $1").bind(id).fetch_optional(&mut transaction).await?;
         let row = row.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?;
         let (number, record) = parse_session(&row)?;
         let working_camera = config.working_camera(&record.checked_camera()?);
@@ -105,7 +102,7 @@ pub(crate) async fn blocking<T: Send + 'static>(
 }
 
 async fn read_keyframes(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     working_camera: Arc<Camera>,
     settings: FeatureSettings,
@@ -113,11 +110,11 @@ async fn read_keyframes(
     let mut keyframes: Vec<Keyframe> = Vec::new();
     loop {
         let after = keyframes.last().map_or(0, |last| last.id.get() as i64);
-        let rows = sqlx::query(
+        let rows = query(
             "SELECT k.id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, features, vanishing, unit
              FROM keyframes k LEFT JOIN keyframe_features f ON f.session = k.session AND f.keyframe = k.id
              LEFT JOIN keyframe_vanishing v ON v.session = k.session AND v.keyframe = k.id
-             WHERE k.session = ? AND k.id > ? ORDER BY k.id LIMIT ?",
+             WHERE k.session = $1 AND k.id > $2 ORDER BY k.id LIMIT $3",
         )
         .bind(session)
         .bind(after)
@@ -136,11 +133,7 @@ async fn read_keyframes(
 }
 
 /// A keyframe that sees nothing yet.
-fn parse_keyframe(
-    row: &SqliteRow,
-    camera: &Camera,
-    settings: &FeatureSettings,
-) -> Result<Keyframe, StoreError> {
+fn parse_keyframe(row: &Row, camera: &Camera, settings: &FeatureSettings) -> Result<Keyframe, StoreError> {
     let id = keyframe_id(row.try_get(0)?)?;
     let corrupt = |what: &dyn std::fmt::Display| StoreError::Corrupt(format!("keyframe {id}: {what}"));
     let blob: Option<&[u8]> = row.try_get(12)?;
@@ -180,16 +173,16 @@ fn describe(made_with: &FeatureSettings, expected: &FeatureSettings) -> String {
 
 /// Reads the rows of a table with a session and an id, in the order of their ids.
 async fn read_landmarks<T: Send + 'static>(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     (table, columns): (&str, &str),
-    parse: fn(&SqliteRow) -> Result<T, StoreError>,
+    parse: fn(&Row) -> Result<T, StoreError>,
 ) -> Result<Vec<T>, StoreError> {
-    let sql = format!("SELECT {columns} FROM {table} WHERE session = ? AND id > ? ORDER BY id LIMIT ?");
+    let sql = format!("SELECT {columns} FROM {table} WHERE session = $1 AND id > $2 ORDER BY id LIMIT $3");
     let (mut landmarks, mut after) = (Vec::new(), 0_i64);
     loop {
         // Safe: the text is made of constants.
-        let rows = sqlx::query(AssertSqlSafe(sql.as_str()))
+        let rows = query(sql.clone())
             .bind(session)
             .bind(after)
             .bind(LANDMARKS_PER_STEP)

@@ -1,9 +1,9 @@
 //! What of a session's images is not the scene.
 
+use crate::engine::{Connection, query};
 use crate::session::session_number;
 use crate::{Store, StoreError};
 use slam::SceneMask;
-use sqlx::{Row, SqliteConnection};
 use std::sync::Arc;
 use vision::mask::Mask;
 
@@ -33,11 +33,11 @@ impl Store {
 }
 
 pub(crate) async fn write_mask(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     number: i64,
     mask: Option<&SceneMask>,
 ) -> Result<(), StoreError> {
-    sqlx::query("UPDATE sessions SET mask_share = ?, mask_given = ? WHERE number = ?")
+    query("UPDATE sessions SET mask_share = $1, mask_given = $2 WHERE number = $3")
         .bind(mask.map(|known| known.mask.share()))
         .bind(mask.is_some_and(|known| known.is_given))
         .bind(number)
@@ -45,8 +45,8 @@ pub(crate) async fn write_mask(
         .await?;
     match mask {
         Some(known) => {
-            sqlx::query(
-                "INSERT INTO session_masks (session, runs) VALUES (?, ?)
+            query(
+                "INSERT INTO session_masks (session, runs) VALUES ($1, $2)
                  ON CONFLICT (session) DO UPDATE SET runs = excluded.runs",
             )
             .bind(number)
@@ -55,7 +55,7 @@ pub(crate) async fn write_mask(
             .await?
         }
         None => {
-            sqlx::query("DELETE FROM session_masks WHERE session = ?")
+            query("DELETE FROM session_masks WHERE session = $1")
                 .bind(number)
                 .execute(&mut *connection)
                 .await?
@@ -65,11 +65,11 @@ pub(crate) async fn write_mask(
 }
 
 pub(crate) async fn read_mask(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     number: i64,
 ) -> Result<Option<SceneMask>, StoreError> {
-    let row = sqlx::query(
-        "SELECT runs, mask_given FROM session_masks JOIN sessions ON number = session WHERE session = ?",
+    let row = query(
+        "SELECT runs, mask_given FROM session_masks JOIN sessions ON number = session WHERE session = $1",
     )
     .bind(number)
     .fetch_optional(connection)

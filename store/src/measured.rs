@@ -1,6 +1,7 @@
 //! What one keyframe measured, and which landmarks it sees by that.
 
 use crate::blob::{decode_observations, decode_vanishing, measured};
+use crate::engine::{Connection, Row, query};
 use crate::load::blocking;
 use crate::number::{keyframe_column, line_id, point_id};
 use crate::primitives::read_primitives;
@@ -8,8 +9,6 @@ use crate::session::session_number;
 use crate::{Store, StoreError};
 use slam::features::LineFeature;
 use slam::map::{KeyframeId, LineId, PointId, VanishingObservation};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{AssertSqlSafe, Row, SqliteConnection};
 
 /// What a keyframe measured.
 #[derive(Clone, Debug)]
@@ -81,11 +80,10 @@ impl Store {
     pub async fn newest_image(&self, session: &str) -> Result<Option<KeyframeId>, StoreError> {
         let mut reader = self.reader().await?;
         let session = session_number(&mut reader, session).await?;
-        let newest: Option<i64> =
-            sqlx::query_scalar("SELECT max(keyframe) FROM keyframe_images WHERE session = ?")
-                .bind(session)
-                .fetch_one(&mut *reader)
-                .await?;
+        let newest: Option<i64> = query("SELECT max(keyframe) FROM keyframe_images WHERE session = $1")
+            .bind(session)
+            .only(&mut reader)
+            .await?;
         newest.map(crate::number::keyframe_id).transpose()
     }
 }
@@ -93,14 +91,14 @@ impl Store {
 type Measured = (Vec<[f32; 2]>, Vec<LineFeature>, Vec<VanishingObservation>);
 
 async fn read_measured(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     id: KeyframeId,
 ) -> Result<Option<Measured>, StoreError> {
-    let row = sqlx::query(
+    let row = query(
         "SELECT features, vanishing FROM keyframe_features f
          LEFT JOIN keyframe_vanishing v ON v.session = f.session AND v.keyframe = f.keyframe
-         WHERE f.session = ? AND f.keyframe = ?",
+         WHERE f.session = $1 AND f.keyframe = $2",
     )
     .bind(session)
     .bind(keyframe_column(id)?)
@@ -116,23 +114,19 @@ async fn read_measured(
 
 /// The landmark of a table that each of a keyframe's features sees.
 async fn seen_by(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     table: &str,
     keyframe: KeyframeId,
     n_features: usize,
 ) -> Result<Vec<Option<i64>>, StoreError> {
     let sql = format!(
-        "SELECT id, observations FROM {table} WHERE session = ? AND id > ? ORDER BY id LIMIT {LANDMARKS_PER_STEP}"
+        "SELECT id, observations FROM {table} WHERE session = $1 AND id > $2 ORDER BY id LIMIT {LANDMARKS_PER_STEP}"
     );
     let (mut seen, mut after) = (vec![None; n_features], 0_i64);
     loop {
         // Safe: the text is made of constants.
-        let rows: Vec<SqliteRow> = sqlx::query(AssertSqlSafe(sql.as_str()))
-            .bind(session)
-            .bind(after)
-            .fetch_all(&mut *connection)
-            .await?;
+        let rows: Vec<Row> = query(sql.clone()).bind(session).bind(after).fetch_all(&mut *connection).await?;
         let Some(last) = rows.last() else { return Ok(seen) };
         after = last.try_get(0)?;
         let entered = blocking(move || {

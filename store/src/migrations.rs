@@ -6,17 +6,28 @@ use std::sync::LazyLock;
 use sqlx::SqlSafeStr;
 use sqlx::migrate::{Migration, MigrationType, Migrator};
 
-/// Version, description and SQL of each migration, as `build.rs` found them in `migrations/`.
-const FILES: &[(i64, &str, &str)] = &include!(concat!(env!("OUT_DIR"), "/migrations.rs"));
+/// Version, description and SQL of each migration, as `build.rs` found them in a folder.
+type Files = &'static [(i64, &'static str, &'static str)];
 
-/// The migrations, in the order they are run.
-pub static MIGRATIONS: LazyLock<Migrator> = LazyLock::new(|| {
+/// Those in `migrations/`.
+const SQLITE_FILES: Files = &include!(concat!(env!("OUT_DIR"), "/migrations.rs"));
+
+/// Those in `migrations/postgres/`.
+const POSTGRES_FILES: Files = &include!(concat!(env!("OUT_DIR"), "/migrations_postgres.rs"));
+
+/// The migrations of SQLite files, in the order they are run.
+pub static SQLITE_MIGRATIONS: LazyLock<Migrator> = LazyLock::new(|| migrator(SQLITE_FILES));
+
+/// The migrations of PostgreSQL databases, in the order they are run.
+pub static POSTGRES_MIGRATIONS: LazyLock<Migrator> = LazyLock::new(|| migrator(POSTGRES_FILES));
+
+fn migrator(files: Files) -> Migrator {
     let migration = |(version, description, sql): &(i64, &'static str, &'static str)| {
         let sql = (*sql).into_sql_str();
         Migration::new(*version, Cow::Borrowed(*description), MigrationType::Simple, sql, false)
     };
-    Migrator::with_migrations(FILES.iter().map(migration).collect())
-});
+    Migrator::with_migrations(files.iter().map(migration).collect())
+}
 
 #[cfg(test)]
 mod tests {
@@ -24,9 +35,13 @@ mod tests {
 
     #[test]
     fn migrations_are_numbered_without_a_gap_and_not_empty() {
-        let versions: Vec<i64> = MIGRATIONS.iter().map(|migration| migration.version).collect();
-        assert!(!versions.is_empty());
-        assert_eq!(versions, (1..=versions.len() as i64).collect::<Vec<_>>());
-        assert!(FILES.iter().all(|(_, description, sql)| !description.is_empty() && !sql.trim().is_empty()));
+        for files in [SQLITE_FILES, POSTGRES_FILES] {
+            let versions: Vec<i64> = migrator(files).iter().map(|migration| migration.version).collect();
+            assert!(!versions.is_empty());
+            assert_eq!(versions, (1..=versions.len() as i64).collect::<Vec<_>>());
+            let has_text =
+                |(_, description, sql): &(i64, &str, &str)| !description.is_empty() && !sql.trim().is_empty();
+            assert!(files.iter().all(has_text));
+        }
     }
 }

@@ -1,14 +1,10 @@
-//! Opening the database: settings of the connections, and the schema's version.
+//! Opening the database, and transactions on it.
 
 use crate::StoreError;
-use crate::error::is_not_a_database;
-use crate::migrations::MIGRATIONS;
+use crate::engine::{Connection, Held, postgres, sqlite};
+use crate::migrations::SQLITE_MIGRATIONS;
 use crate::place::Place;
-use sqlx::pool::PoolConnection;
-use sqlx::sqlite::{
-    SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
-};
-use sqlx::{ConnectOptions, Connection, Sqlite, SqliteConnection, Transaction};
+use sqlx::sqlite::{SqliteConnectOptions, SqlitePool, SqlitePoolOptions};
 use std::ops::{Deref, DerefMut};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -17,6 +13,7 @@ use std::time::Duration;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Durability {
     /// The end of the process at any moment, and of the machine: each commit waits until the disk has it.
+    /// With PostgreSQL, as long as its own `synchronous_commit` says so.
     #[default]
     PowerLoss,
     /// The end of the process at any moment. When the machine stops, the last commits may be lost; the
@@ -31,14 +28,22 @@ pub struct StoreOptions {
     /// for the disk happens on the writer's thread, where tracking does not notice it.
     pub durability: Durability,
     /// How long to wait for a lock that another program holds. Default 5 s: a backup or an inspecting shell
-    /// is let through, a second server is not waited for.
+    /// is let through, a second server is not waited for. SQLite only.
     pub busy_timeout: Duration,
     /// Connections that read at the same time. Default 4: one per core of a small server, each holds some
     /// megabytes.
     pub n_readers: u32,
     /// Room the database may take, bytes; a commit beyond it fails with [`StoreError::DiskFull`]. Default no
-    /// limit but the disk's.
+    /// limit but the disk's. SQLite only.
     pub max_bytes: Option<u64>,
+    /// Connections that write at the same time. Default 4: a commit takes some milliseconds of which most is
+    /// waiting, and PostgreSQL gets 100 connections by default, for all servers together. SQLite has one.
+    pub n_writers: u32,
+    /// How long to wait for a connection. Default 5 s: a failover takes longer and is waited for by those who
+    /// try again. PostgreSQL only.
+    pub connect_timeout: Duration,
+    /// How long a statement may take. Default 30 s: a thousand times what any takes. PostgreSQL only.
+    pub statement_timeout: Duration,
 }
 
 impl Default for StoreOptions {
@@ -48,29 +53,36 @@ impl Default for StoreOptions {
             busy_timeout: Duration::from_secs(5),
             n_readers: 4,
             max_bytes: None,
+            n_writers: 4,
+            connect_timeout: Duration::from_secs(5),
+            statement_timeout: Duration::from_secs(30),
         }
     }
 }
 
 /// The database. Cheap to clone; clones share the connections.
 ///
-/// One connection writes, in the order of the calls; a few read beside it, each from the last commit before
-/// its question began.
+/// In SQLite one connection writes, in the order of the calls; a few read beside it, each from the last
+/// commit before its question began. In PostgreSQL a few connections write.
 #[derive(Clone, Debug)]
 pub struct Store {
-    writer: SqlitePool,
-    readers: SqlitePool,
-    path: PathBuf,
+    engine: Engine,
     place: Place,
 }
 
-/// A transaction on the writing connection.
+#[derive(Clone, Debug)]
+enum Engine {
+    Sqlite { writer: SqlitePool, readers: SqlitePool, path: PathBuf },
+    Postgres(postgres::Pools),
+}
+
+/// A transaction that writes.
 ///
-/// One that is not committed closes its connection, which undoes it whatever state SQLite left it in: after
-/// some errors, such as a full disk, SQLite has ended the transaction itself, after others it has not. The
-/// next writer gets a new connection.
+/// One that is not committed closes its connection, which undoes it whatever state the database left it in:
+/// after some errors, such as a full disk, SQLite has ended the transaction itself, after others it has not.
+/// The next writer gets a new connection.
 pub(crate) struct WriteTransaction {
-    connection: PoolConnection<Sqlite>,
+    connection: Connection,
     place: Place,
     is_committed: bool,
 }
@@ -78,25 +90,25 @@ pub(crate) struct WriteTransaction {
 impl WriteTransaction {
     /// Makes what was written durable.
     ///
-    /// # Errors
-    /// [`StoreError::Gone`] if it was written into a file that is no longer there.
+    /// # Errors [`StoreError::Gone`] if it was written into a file that is no longer there. If PostgreSQL was
+    /// lost meanwhile nobody knows whether it was written: do it again.
     pub async fn commit(mut self) -> Result<(), StoreError> {
-        sqlx::query("COMMIT").execute(&mut *self.connection).await?;
+        self.connection.command("COMMIT").await?;
         self.is_committed = true;
         self.place.check_commit()
     }
 }
 
 impl Deref for WriteTransaction {
-    type Target = SqliteConnection;
+    type Target = Connection;
 
-    fn deref(&self) -> &SqliteConnection {
+    fn deref(&self) -> &Connection {
         &self.connection
     }
 }
 
 impl DerefMut for WriteTransaction {
-    fn deref_mut(&mut self) -> &mut SqliteConnection {
+    fn deref_mut(&mut self) -> &mut Connection {
         &mut self.connection
     }
 }
@@ -109,20 +121,8 @@ impl Drop for WriteTransaction {
     }
 }
 
-/// Bytes in a page of the file. Twice SQLite's default: a keyframe's features fill six of them.
-const PAGE_BYTES: u32 = 8192;
-
-/// Pages after which the log is folded into the file, 8 MB: a dozen keyframes and what they move.
-const CHECKPOINT_PAGES: u32 = 1000;
-
-/// The log is cut back to this after a long reader made it grow, bytes.
-const MAX_IDLE_LOG_BYTES: u32 = 64 << 20;
-
-/// A writer that waits longer than this for its turn reports that the database is busy.
-const WRITER_TURN_TIMEOUT: Duration = Duration::from_secs(120);
-
 impl Store {
-    /// Opens a database and brings its schema up to date; makes it if there is none.
+    /// Opens a database file and brings its schema up to date; makes it if there is none.
     ///
     /// Rows of sessions whose deletion was interrupted are cleared away.
     ///
@@ -130,15 +130,7 @@ impl Store {
     /// [`StoreError::NewerSchema`] if a later version of this program wrote it, and [`StoreError::NotAStore`]
     /// if it is something else; neither is touched.
     pub async fn open(path: impl AsRef<Path>, options: StoreOptions) -> Result<Self, StoreError> {
-        let store = Self::open_beside(path, options).await?;
-        match store.clear_deleted_sessions().await {
-            // What is damaged in a session that nobody wants any more keeps nobody from the others.
-            Err(StoreError::Corrupt(what)) => {
-                tracing::error!("a deleted session cannot be cleared away, its rows are damaged: {what}");
-            }
-            cleared => cleared?,
-        }
-        Ok(store)
+        Self::open_beside(path, options).await?.cleared().await
     }
 
     /// As [`Self::open`], also while a server uses the database: what it may be about to delete is left
@@ -149,185 +141,171 @@ impl Store {
     pub async fn open_beside(path: impl AsRef<Path>, options: StoreOptions) -> Result<Self, StoreError> {
         let path = path.as_ref().to_path_buf();
         if path.exists() {
-            refuse_unknown_schema(&path, &options).await?;
+            sqlite::refuse_unknown_schema(&path, &options).await?;
         }
-        let writer = SqlitePoolOptions::new()
-            .max_connections(1)
-            .acquire_timeout(WRITER_TURN_TIMEOUT)
-            .idle_timeout(None::<Duration>)
-            .max_lifetime(None::<Duration>)
-            .connect_with(writing(&path, &options))
-            .await?;
-        MIGRATIONS.run(&writer).await.map_err(migration_error)?;
-        let readers = SqlitePoolOptions::new()
-            .max_connections(options.n_readers.max(1))
-            .max_lifetime(None::<Duration>)
-            .connect_lazy_with(reading(&path, &options));
+        let writer = sqlite::writer(&path, &options).await?;
+        SQLITE_MIGRATIONS.run(&writer).await.map_err(migration_error)?;
+        let readers = sqlite::readers(&path, &options);
         let place = Place::of(&path);
-        Ok(Self { writer, readers, path, place })
+        Ok(Self { engine: Engine::Sqlite { writer, readers, path }, place })
+    }
+
+    /// Connects to a database of PostgreSQL, such as `postgres://user@host/maps?sslmode=verify-full`, and
+    /// brings its schema up to date. Rows of sessions whose deletion was interrupted are cleared away.
+    ///
+    /// # Errors
+    /// [`StoreError::Address`] if the URL is none, [`StoreError::Unreachable`] if nobody answers there, and
+    /// [`StoreError::NewerSchema`].
+    pub async fn connect(url: &str, options: StoreOptions) -> Result<Self, StoreError> {
+        Self::connect_beside(url, options).await?.cleared().await
+    }
+
+    /// As [`Self::connect`]; what servers may be about to delete is left alone.
+    ///
+    /// # Errors
+    /// As [`Self::connect`].
+    pub async fn connect_beside(url: &str, options: StoreOptions) -> Result<Self, StoreError> {
+        let pools = postgres::Pools::open(url, &options).await?;
+        Ok(Self { engine: Engine::Postgres(pools), place: Place::elsewhere() })
+    }
+
+    async fn cleared(self) -> Result<Self, StoreError> {
+        match self.clear_deleted_sessions().await {
+            // What is damaged in a session that nobody wants any more keeps nobody from the others.
+            Err(StoreError::Corrupt(what)) => {
+                tracing::error!("a deleted session cannot be cleared away, its rows are damaged: {what}");
+            }
+            cleared => cleared?,
+        }
+        Ok(self)
     }
 
     /// A store whose connections only read, opened when they are needed.
     pub(crate) fn to_read(path: &Path, options: &SqliteConnectOptions) -> Self {
         let n_readers = StoreOptions::default().n_readers;
         let pool = || SqlitePoolOptions::new().max_connections(n_readers).connect_lazy_with(options.clone());
-        Self { writer: pool(), readers: pool(), path: path.to_owned(), place: Place::of(path) }
+        let engine = Engine::Sqlite { writer: pool(), readers: pool(), path: path.to_owned() };
+        Self { engine, place: Place::of(path) }
     }
 
     /// Ends the connections of a store that only reads.
     pub(crate) async fn close_read(&self) {
-        self.readers.close().await;
-        self.writer.close().await;
+        match &self.engine {
+            Engine::Sqlite { writer, readers, .. } => {
+                readers.close().await;
+                writer.close().await;
+            }
+            Engine::Postgres(pools) => {
+                pools.readers.close().await;
+                pools.writers.close().await;
+            }
+        }
     }
 
     /// Gives the room of what was deleted back to the file system: the file is written anew without it, for
-    /// which there must be room beside it. Bytes of the file before and after.
+    /// which there must be room beside it. Bytes of the file before and after. PostgreSQL does it by itself
+    /// (autovacuum); zeros are answered.
     ///
     /// # Errors
     /// [`StoreError::Busy`] if somebody else uses the database, [`StoreError::DiskFull`] if there is no room.
     pub async fn compact(&self) -> Result<[u64; 2], StoreError> {
-        let mut writer = self.writer.acquire().await?;
+        let Engine::Sqlite { writer, path, .. } = &self.engine else { return Ok([0, 0]) };
+        let file_bytes = || match std::fs::metadata(path) {
+            Ok(metadata) => Ok(metadata.len()),
+            Err(error) => Err(StoreError::Io(sqlx::Error::Io(error))),
+        };
+        let mut writer = writer.acquire().await?;
         sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut *writer).await?;
-        let before = self.file_bytes()?;
+        let before = file_bytes()?;
         sqlx::query("VACUUM").execute(&mut *writer).await?;
         sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut *writer).await?;
-        Ok([before, self.file_bytes()?])
+        Ok([before, file_bytes()?])
     }
 
-    fn file_bytes(&self) -> Result<u64, StoreError> {
-        let metadata =
-            std::fs::metadata(&self.path).map_err(|error| StoreError::Io(sqlx::Error::Io(error)))?;
-        Ok(metadata.len())
-    }
-
-    /// Folds the log into the database file.
+    /// Folds the log into the database file. PostgreSQL does it by itself.
     pub async fn checkpoint(&self) -> Result<(), StoreError> {
-        let mut writer = self.writer.acquire().await?;
+        let Engine::Sqlite { writer, .. } = &self.engine else { return Ok(()) };
+        let mut writer = writer.acquire().await?;
         sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut *writer).await?;
         Ok(())
     }
 
     /// Ends every connection after what it is doing; the log is folded into the file. Further calls fail.
     pub async fn close(&self) -> Result<(), StoreError> {
-        self.readers.close().await;
-        let checkpointed = self.checkpoint().await;
-        self.writer.close().await;
-        checkpointed
+        match &self.engine {
+            Engine::Sqlite { writer, readers, .. } => {
+                readers.close().await;
+                let checkpointed = self.checkpoint().await;
+                writer.close().await;
+                checkpointed
+            }
+            Engine::Postgres(_) => {
+                self.close_read().await;
+                Ok(())
+            }
+        }
     }
 
     pub(crate) fn place(&self) -> &Place {
         &self.place
     }
 
-    /// The database file.
-    pub fn path(&self) -> &Path {
-        &self.path
+    /// The database file; `None` of a database of PostgreSQL.
+    pub fn path(&self) -> Option<&Path> {
+        match &self.engine {
+            Engine::Sqlite { path, .. } => Some(path),
+            Engine::Postgres(_) => None,
+        }
     }
 
-    /// Version of the schema this program writes.
+    /// Version of the schema of files this program writes.
     pub fn schema_version() -> i64 {
-        MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
+        SQLITE_MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
     }
 
-    /// Begins a transaction that may write; undone unless committed. The lock is taken at once, so that it
-    /// cannot fail half-way for want of it.
+    /// Begins a transaction that may write; undone unless committed. In SQLite the lock is taken at once, so
+    /// that it cannot fail half-way for want of it.
     pub(crate) async fn begin_write(&self) -> Result<WriteTransaction, StoreError> {
-        // Made before the statement runs, so that giving up in the middle of it closes the connection too.
-        let mut transaction = WriteTransaction {
-            connection: self.writer.acquire().await?,
-            place: self.place.clone(),
-            is_committed: false,
+        let (connection, begin) = match &self.engine {
+            Engine::Sqlite { writer, .. } => {
+                (Connection::Sqlite(Held::Alone(writer.acquire().await?)), "BEGIN IMMEDIATE")
+            }
+            Engine::Postgres(pools) => {
+                let acquired = pools.writers.acquire().await.map_err(postgres::error)?;
+                (Connection::Postgres(Held::Alone(acquired), pools.patience), "BEGIN")
+            }
         };
-        sqlx::query("BEGIN IMMEDIATE").execute(&mut *transaction).await?;
+        // Made before the statement runs, so that giving up in the middle of it closes the connection too.
+        let mut transaction = WriteTransaction { connection, place: self.place.clone(), is_committed: false };
+        transaction.command(begin).await?;
         Ok(transaction)
     }
 
     /// A connection that reads.
-    pub(crate) async fn reader(&self) -> Result<PoolConnection<Sqlite>, StoreError> {
-        Ok(self.readers.acquire().await?)
+    pub(crate) async fn reader(&self) -> Result<Connection, StoreError> {
+        Ok(match &self.engine {
+            Engine::Sqlite { readers, .. } => Connection::Sqlite(Held::Alone(readers.acquire().await?)),
+            Engine::Postgres(pools) => {
+                let acquired = pools.readers.acquire().await.map_err(postgres::error)?;
+                Connection::Postgres(Held::Alone(acquired), pools.patience)
+            }
+        })
     }
 
-    /// Begins a transaction in which every question is answered from the same commit. Keep it short: the log
-    /// cannot be folded into the file while it lasts.
-    pub(crate) async fn begin_read(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
-        Ok(self.readers.begin().await?)
+    /// Begins a transaction in which every question is answered from the same commit. Keep it short: while it
+    /// lasts, SQLite's log cannot be folded into the file, and PostgreSQL keeps what was replaced.
+    pub(crate) async fn begin_read(&self) -> Result<Connection, StoreError> {
+        Ok(match &self.engine {
+            Engine::Sqlite { readers, .. } => Connection::Sqlite(Held::Reading(readers.begin().await?)),
+            Engine::Postgres(pools) => {
+                let begun = pools.readers.begin_with(postgres::BEGIN_READ);
+                Connection::Postgres(
+                    Held::Reading(postgres::limited(pools.patience, begun).await?),
+                    pools.patience,
+                )
+            }
+        })
     }
-}
-
-fn writing(path: &Path, options: &StoreOptions) -> SqliteConnectOptions {
-    let synchronous = match options.durability {
-        // In WAL mode FULL waits for the log at each commit; NORMAL only when the log is folded into the
-        // file.
-        Durability::PowerLoss => SqliteSynchronous::Full,
-        Durability::ProcessEnd => SqliteSynchronous::Normal,
-    };
-    let base = SqliteConnectOptions::new()
-        .filename(path)
-        .create_if_missing(true)
-        .page_size(PAGE_BYTES)
-        .journal_mode(SqliteJournalMode::Wal)
-        .synchronous(synchronous)
-        .foreign_keys(true)
-        .busy_timeout(options.busy_timeout)
-        .pragma("wal_autocheckpoint", CHECKPOINT_PAGES.to_string())
-        .pragma("journal_size_limit", MAX_IDLE_LOG_BYTES.to_string());
-    let base = match options.max_bytes {
-        Some(max_bytes) => {
-            base.pragma("max_page_count", (max_bytes / u64::from(PAGE_BYTES)).max(1).to_string())
-        }
-        None => base,
-    };
-    quiet(base)
-}
-
-/// To read the file as it is, without its log, and without a trace beside it.
-pub(crate) fn whole_file(path: &Path) -> SqliteConnectOptions {
-    reading(path, &StoreOptions::default()).immutable(true)
-}
-
-pub(crate) fn reading(path: &Path, options: &StoreOptions) -> SqliteConnectOptions {
-    quiet(SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(options.busy_timeout))
-}
-
-/// Statements are not worth a log line each; the callers log what they do.
-fn quiet(options: SqliteConnectOptions) -> SqliteConnectOptions {
-    options.disable_statement_logging()
-}
-
-/// Looks at the schema's version before anything is written.
-async fn refuse_unknown_schema(path: &Path, options: &StoreOptions) -> Result<(), StoreError> {
-    let found = schema_of(path, &reading(path, options)).await?.unwrap_or(0);
-    let supported = Store::schema_version();
-    if found > supported { Err(StoreError::NewerSchema { found, supported }) } else { Ok(()) }
-}
-
-/// The schema's version; `None` of an empty file.
-pub(crate) async fn schema_of(
-    path: &Path,
-    options: &SqliteConnectOptions,
-) -> Result<Option<i64>, StoreError> {
-    let not_a_store = || StoreError::NotAStore { path: path.display().to_string() };
-    let mut connection = match SqliteConnection::connect_with(options).await {
-        Ok(connection) => connection,
-        Err(error) if is_not_a_database(&error) => return Err(not_a_store()),
-        Err(error) => return Err(error.into()),
-    };
-    let tables: Vec<String> = match sqlx::query_scalar("SELECT name FROM sqlite_schema WHERE type = 'table'")
-        .fetch_all(&mut connection)
-        .await
-    {
-        Ok(tables) => tables,
-        Err(error) if is_not_a_database(&error) => return Err(not_a_store()),
-        Err(error) => return Err(error.into()),
-    };
-    if !tables.iter().any(|name| name == "_sqlx_migrations") {
-        // A crash before the first migration leaves an empty file, which is as good as none.
-        return if tables.is_empty() { Ok(None) } else { Err(not_a_store()) };
-    }
-    let found: Option<i64> =
-        sqlx::query_scalar("SELECT max(version) FROM _sqlx_migrations").fetch_one(&mut connection).await?;
-    connection.close().await?;
-    Ok(found)
 }
 
 /// A full disk while migrating is a full disk.

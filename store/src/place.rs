@@ -13,17 +13,23 @@ use std::time::{Duration, Instant};
 /// a second or two, and fails again.
 const FAILURE_COUNTS_FOR: Duration = Duration::from_secs(15);
 
-/// The files as they were opened, and how the last write ended. Clones share it.
+/// The files as they were opened, if the database is in files of ours, and how the last write ended. Clones
+/// share it.
 #[derive(Clone, Debug)]
-pub(crate) struct Place(Arc<Files>);
+pub(crate) struct Place(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    files: Option<Files>,
+    /// When a write failed, and why, if the last one did.
+    failure: Mutex<Option<(Instant, String)>>,
+}
 
 #[derive(Debug)]
 struct Files {
     path: PathBuf,
     log: PathBuf,
     opened: Option<Identity>,
-    /// When a write failed, and why, if the last one did.
-    failure: Mutex<Option<(Instant, String)>>,
 }
 
 /// Which file it is, whatever it is called.
@@ -53,12 +59,21 @@ impl Place {
     pub fn of(path: &Path) -> Self {
         let log = PathBuf::from(format!("{}-wal", path.display()));
         let opened = Identity::of(path);
-        Self(Arc::new(Files { path: path.to_owned(), log, opened, failure: Mutex::default() }))
+        Self::with(Some(Files { path: path.to_owned(), log, opened }))
+    }
+
+    /// Of a database that another program keeps.
+    pub fn elsewhere() -> Self {
+        Self::with(None)
+    }
+
+    fn with(files: Option<Files>) -> Self {
+        Self(Arc::new(Shared { files, failure: Mutex::default() }))
     }
 
     /// Whether the file that was opened is the one that is there.
     pub fn check(&self) -> Result<(), StoreError> {
-        let Files { path, opened, .. } = &*self.0;
+        let Some(Files { path, opened, .. }) = &self.0.files else { return Ok(()) };
         if Identity::of(path) == *opened { Ok(()) } else { Err(gone(path)) }
     }
 
@@ -66,7 +81,8 @@ impl Place {
     /// that its identity says nothing.
     pub fn check_commit(&self) -> Result<(), StoreError> {
         self.check()?;
-        if cfg!(not(unix)) || self.0.log.exists() { Ok(()) } else { Err(gone(&self.0.log)) }
+        let Some(Files { log, .. }) = &self.0.files else { return Ok(()) };
+        if cfg!(not(unix)) || log.exists() { Ok(()) } else { Err(gone(log)) }
     }
 
     /// Takes note of how a write ended.

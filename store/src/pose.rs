@@ -1,12 +1,11 @@
 //! Poses as seven columns, and poses of keyframes that may have been removed.
 
 use crate::StoreError;
+use crate::engine::{Connection, Row, query};
 use crate::number::{keyframe_id, submap_id};
 use geometry::Pose;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use slam::map::{KeyframeId, RemovedKeyframe, SubmapId};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, SqliteConnection};
 use std::collections::BTreeMap;
 
 /// A stored quaternion's length may differ from one by this: far more than rounding in any product of poses
@@ -30,7 +29,7 @@ pub(crate) fn finite(what: &str, value: f64) -> Result<f64, StoreError> {
 }
 
 /// The pose in the seven columns from `first` on; bit for bit what was stored.
-pub(crate) fn read_pose(row: &SqliteRow, first: usize) -> Result<Pose, StoreError> {
+pub(crate) fn read_pose(row: &Row, first: usize) -> Result<Pose, StoreError> {
     let mut columns = [0.0_f64; 7];
     for (offset, value) in columns.iter_mut().enumerate() {
         *value = row.try_get(first + offset)?;
@@ -64,13 +63,12 @@ pub(crate) struct PoseBook {
 
 impl PoseBook {
     /// Reads the poses of a session; the connection should be in a transaction.
-    pub async fn read(connection: &mut SqliteConnection, session: i64) -> Result<Self, StoreError> {
-        let rows = sqlx::query(
-            "SELECT id, qx, qy, qz, qw, tx, ty, tz, submap, unit FROM keyframes WHERE session = ?",
-        )
-        .bind(session)
-        .fetch_all(&mut *connection)
-        .await?;
+    pub async fn read(connection: &mut Connection, session: i64) -> Result<Self, StoreError> {
+        let rows =
+            query("SELECT id, qx, qy, qz, qw, tx, ty, tz, submap, unit FROM keyframes WHERE session = $1")
+                .bind(session)
+                .fetch_all(&mut *connection)
+                .await?;
         let keyframes = rows
             .iter()
             .map(|row| Ok((keyframe_id(row.try_get(0)?)?, read_anchor(row)?)))
@@ -117,7 +115,7 @@ impl PoseBook {
     }
 }
 
-fn read_anchor(row: &SqliteRow) -> Result<Anchor, StoreError> {
+fn read_anchor(row: &Row) -> Result<Anchor, StoreError> {
     Ok(Anchor {
         submap: submap_id(row.try_get(8)?)?,
         camera_from_world: read_pose(row, 1)?,
@@ -126,7 +124,7 @@ fn read_anchor(row: &SqliteRow) -> Result<Anchor, StoreError> {
 }
 
 /// A keyframe's unit, which is finite and positive.
-pub(crate) fn read_local_scale(row: &SqliteRow, column: usize) -> Result<f64, StoreError> {
+pub(crate) fn read_local_scale(row: &Row, column: usize) -> Result<f64, StoreError> {
     let local_scale: f64 = row.try_get(column)?;
     if local_scale.is_finite() && local_scale > 0.0 {
         Ok(local_scale)
@@ -137,11 +135,11 @@ pub(crate) fn read_local_scale(row: &SqliteRow, column: usize) -> Result<f64, St
 
 /// The removed keyframes of a session in the order of their ids.
 pub(crate) async fn read_removed(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
 ) -> Result<Vec<RemovedKeyframe>, StoreError> {
-    let rows = sqlx::query(
-        "SELECT id, anchor, qx, qy, qz, qw, tx, ty, tz FROM removed_keyframes WHERE session = ? ORDER BY id",
+    let rows = query(
+        "SELECT id, anchor, qx, qy, qz, qw, tx, ty, tz FROM removed_keyframes WHERE session = $1 ORDER BY id",
     )
     .bind(session)
     .fetch_all(connection)

@@ -1,14 +1,13 @@
 //! Global primitives: their rows, alone and in pages.
 
 use crate::blob::{decode_covariance, decode_observations};
+use crate::engine::{Connection, Row, query};
 use crate::number::{from_column, keyframe_id, primitive_id, submap_id, to_column};
 use crate::session::session_number;
 use crate::{Page, Store, StoreError};
 use geometry::Direction;
 use nalgebra::Vector3;
 use slam::map::{GlobalPrimitive, PrimitiveId, PrimitiveObservation, SubmapId};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{AssertSqlSafe, Row, SqliteConnection};
 
 /// A stored primitive.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,16 +37,16 @@ impl Store {
         let sql = format!(
             "SELECT {PRIMITIVE_COLUMNS},
                  (SELECT count(*) FROM lines l WHERE l.session = p.session AND l.primitive = p.id)
-             FROM primitives p WHERE session = ?1 AND id > ?2 AND submap = ifnull(?3, submap) ORDER BY id LIMIT ?4"
+             FROM primitives p WHERE session = $1 AND id > $2 AND submap = coalesce($3, submap) ORDER BY id LIMIT $4"
         );
         let mut reader = self.reader().await?;
         let number = session_number(&mut reader, session).await?;
-        let rows = sqlx::query(AssertSqlSafe(sql))
+        let rows = query(sql)
             .bind(number)
             .bind(after.map_or(Ok(0), |id| to_column("primitive id", id.get()))?)
             .bind(submap.map(|submap| submap.0))
             .bind(i64::from(page_size) + 1)
-            .fetch_all(&mut *reader)
+            .fetch_all(&mut reader)
             .await?;
         let primitives = rows.iter().map(parse_record).collect::<Result<Vec<_>, _>>()?;
         Ok(Page::of(primitives, page_size, |last| last.primitive.id))
@@ -65,14 +64,14 @@ impl Store {
         let sql = format!(
             "SELECT {PRIMITIVE_COLUMNS},
                  (SELECT count(*) FROM lines l WHERE l.session = p.session AND l.primitive = p.id)
-             FROM primitives p WHERE session = ? AND id = ?"
+             FROM primitives p WHERE session = $1 AND id = $2"
         );
         let mut reader = self.reader().await?;
         let number = session_number(&mut reader, session).await?;
-        let row = sqlx::query(AssertSqlSafe(sql))
+        let row = query(sql)
             .bind(number)
             .bind(to_column("primitive id", id.get())?)
-            .fetch_optional(&mut *reader)
+            .fetch_optional(&mut reader)
             .await?;
         row.as_ref().map(parse_record).transpose()
     }
@@ -80,15 +79,15 @@ impl Store {
 
 /// Every primitive of a session in the order of their ids.
 pub(crate) async fn read_primitives(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
 ) -> Result<Vec<GlobalPrimitive>, StoreError> {
-    let sql = format!("SELECT {PRIMITIVE_COLUMNS} FROM primitives WHERE session = ? ORDER BY id");
-    let rows = sqlx::query(AssertSqlSafe(sql)).bind(session).fetch_all(connection).await?;
+    let sql = format!("SELECT {PRIMITIVE_COLUMNS} FROM primitives WHERE session = $1 ORDER BY id");
+    let rows = query(sql).bind(session).fetch_all(connection).await?;
     rows.iter().map(parse_primitive).collect()
 }
 
-fn parse_record(row: &SqliteRow) -> Result<PrimitiveRecord, StoreError> {
+fn parse_record(row: &Row) -> Result<PrimitiveRecord, StoreError> {
     Ok(PrimitiveRecord {
         primitive: parse_primitive(row)?,
         n_lines: from_column("n_lines", row.try_get(9)?)?,
@@ -96,7 +95,7 @@ fn parse_record(row: &SqliteRow) -> Result<PrimitiveRecord, StoreError> {
 }
 
 /// A primitive from [`PRIMITIVE_COLUMNS`].
-pub(crate) fn parse_primitive(row: &SqliteRow) -> Result<GlobalPrimitive, StoreError> {
+pub(crate) fn parse_primitive(row: &Row) -> Result<GlobalPrimitive, StoreError> {
     let id = primitive_id(row.try_get(0)?)?;
     let corrupt = |what: &dyn std::fmt::Display| StoreError::Corrupt(format!("primitive {id}: {what}"));
     let direction = Vector3::new(row.try_get(2)?, row.try_get(3)?, row.try_get(4)?);

@@ -3,10 +3,10 @@
 //! Stored times are the client's. The engine's only go on, also where a client's clock was set back: a
 //! segment says by how much they are ahead.
 
+use crate::engine::{Connection, Row, query};
 use crate::number::{from_column, to_column};
 use crate::session::session_number;
 use crate::{Store, StoreError};
-use sqlx::{Row, SqliteConnection};
 
 /// By how much the engine's times are ahead of the client's, along a session.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -29,11 +29,11 @@ impl Segments {
         timestamp_ns.saturating_sub(self.ahead_ns(sequence))
     }
 
-    pub(crate) async fn read(connection: &mut SqliteConnection, session: i64) -> Result<Self, StoreError> {
+    pub(crate) async fn read(connection: &mut Connection, session: i64) -> Result<Self, StoreError> {
         let select =
-            "SELECT first_sequence, ahead_ns FROM segments WHERE session = ? ORDER BY first_sequence";
-        let rows = sqlx::query(select).bind(session).fetch_all(connection).await?;
-        let parse = |row: &sqlx::sqlite::SqliteRow| -> Result<(u64, i64), StoreError> {
+            "SELECT first_sequence, ahead_ns FROM segments WHERE session = $1 ORDER BY first_sequence";
+        let rows = query(select).bind(session).fetch_all(connection).await?;
+        let parse = |row: &Row| -> Result<(u64, i64), StoreError> {
             Ok((from_column("a segment's first sequence", row.try_get(0)?)?, row.try_get(1)?))
         };
         Ok(Self(rows.iter().map(parse).collect::<Result<_, _>>()?))
@@ -49,9 +49,10 @@ impl Store {
     pub async fn begin_segment(&self, id: &str, sequence: u64, ahead_ns: i64) -> Result<(), StoreError> {
         let mut transaction = self.begin_write().await?;
         let session = session_number(&mut transaction, id).await?;
-        let insert = "INSERT OR REPLACE INTO segments (session, first_sequence, ahead_ns) VALUES (?, ?, ?)";
-        let query = sqlx::query(insert).bind(session).bind(to_column("sequence", sequence)?).bind(ahead_ns);
-        query.execute(&mut *transaction).await?;
+        let insert = "INSERT INTO segments (session, first_sequence, ahead_ns) VALUES ($1, $2, $3) \
+             ON CONFLICT (session, first_sequence) DO UPDATE SET ahead_ns = excluded.ahead_ns";
+        let insert = query(insert).bind(session).bind(to_column("sequence", sequence)?).bind(ahead_ns);
+        insert.execute(&mut transaction).await?;
         let outcome = transaction.commit().await;
         self.place().note(&outcome);
         outcome

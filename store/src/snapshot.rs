@@ -1,6 +1,7 @@
 //! A whole map, piece by piece, as of one commit.
 
 use crate::blob::positions;
+use crate::engine::{Connection, query};
 use crate::keyframes::select_keyframes;
 use crate::lines::{LineCursor, LineQuery};
 use crate::number::{from_column, keyframe_column};
@@ -9,7 +10,6 @@ use crate::primitives::read_primitives;
 use crate::session::read_session;
 use crate::{KeyframeRecord, PointQuery, SessionRecord, Store, StoreError};
 use slam::map::{GlobalPrimitive, KeyframeId, LineId, LineLandmark, PointId, PointLandmark, SubmapId};
-use sqlx::{AssertSqlSafe, Sqlite, SqliteConnection, Transaction};
 
 /// Points or keyframes read at a time: a statement takes about a millisecond.
 const ROWS_PER_STEP: usize = 512;
@@ -17,7 +17,7 @@ const ROWS_PER_STEP: usize = 512;
 /// A session as of one commit, read in steps. While it lives the log cannot be folded into the file, so read
 /// it to the end without waiting for anything slow, such as a client.
 pub struct MapSnapshot {
-    transaction: Transaction<'static, Sqlite>,
+    transaction: Connection,
     session: i64,
     record: SessionRecord,
 }
@@ -44,7 +44,7 @@ impl MapSnapshot {
         self.session
     }
 
-    pub(crate) fn connection(&mut self) -> &mut SqliteConnection {
+    pub(crate) fn connection(&mut self) -> &mut Connection {
         &mut self.transaction
     }
 
@@ -56,11 +56,11 @@ impl MapSnapshot {
         let mut counts = [0; 2];
         for (count, table) in counts.iter_mut().zip(["points", "lines"]) {
             let sql =
-                format!("SELECT count(*) FROM {table} WHERE session = ?1 AND submap = ifnull(?2, submap)");
-            let n = sqlx::query_scalar(AssertSqlSafe(sql))
+                format!("SELECT count(*) FROM {table} WHERE session = $1 AND submap = coalesce($2, submap)");
+            let n = query(sql)
                 .bind(self.session)
                 .bind(submap.map(|submap| submap.0))
-                .fetch_one(&mut *self.transaction)
+                .only(&mut self.transaction)
                 .await?;
             *count = from_column("a count", n)?;
         }
@@ -113,9 +113,9 @@ impl MapSnapshot {
     /// # Errors
     /// If the database cannot be read.
     pub async fn image_media_type(&mut self, id: KeyframeId) -> Result<Option<String>, StoreError> {
-        let sql = "SELECT media_type FROM keyframe_images WHERE session = ? AND keyframe = ?";
-        let media_type = sqlx::query_scalar(sql).bind(self.session).bind(keyframe_column(id)?);
-        Ok(media_type.fetch_optional(&mut *self.transaction).await?)
+        let sql = "SELECT media_type FROM keyframe_images WHERE session = $1 AND keyframe = $2";
+        let media_type = query(sql).bind(self.session).bind(keyframe_column(id)?);
+        media_type.scalar(&mut self.transaction).await
     }
 
     /// Every primitive; there are some dozens.
@@ -132,10 +132,10 @@ impl MapSnapshot {
     /// If the database cannot be read or the keyframe's features are damaged.
     pub async fn keypoints(&mut self, id: KeyframeId) -> Result<Vec<[f32; 2]>, StoreError> {
         let features: Option<Vec<u8>> =
-            sqlx::query_scalar("SELECT features FROM keyframe_features WHERE session = ? AND keyframe = ?")
+            query("SELECT features FROM keyframe_features WHERE session = $1 AND keyframe = $2")
                 .bind(self.session)
                 .bind(keyframe_column(id)?)
-                .fetch_optional(&mut *self.transaction)
+                .scalar(&mut self.transaction)
                 .await?;
         let features =
             features.ok_or_else(|| StoreError::Corrupt(format!("keyframe {id} has no features")))?;

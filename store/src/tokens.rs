@@ -1,9 +1,8 @@
 //! Tokens: who may use the server, kept as hashes.
 
+use crate::engine::{Row, query};
 use crate::number::{from_column, to_column};
 use crate::{Store, StoreError};
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 /// Bytes of a token's hash, SHA-256.
 pub const TOKEN_HASH_BYTES: usize = 32;
@@ -70,9 +69,9 @@ impl Store {
     pub async fn create_token(&self, new: &NewToken) -> Result<i64, StoreError> {
         let mut transaction = self.begin_write().await?;
         let number = |what, value: Option<u64>| value.map(|value| to_column(what, value)).transpose();
-        let id: Option<i64> = sqlx::query_scalar(
+        let id: Option<i64> = query(
             "INSERT INTO tokens (name, hash, role, owner, created_at_ns, expires_at_ns, max_sessions, max_streams,
-             max_frames_per_s, max_stored_bytes) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
+             max_frames_per_s, max_stored_bytes) VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)
              ON CONFLICT (name) DO NOTHING RETURNING id",
         )
         .bind(&new.name)
@@ -84,9 +83,7 @@ impl Store {
         .bind(number("max_sessions", new.quotas.max_sessions)?)
         .bind(number("max_streams", new.quotas.max_streams)?)
         .bind(new.quotas.max_frames_per_s)
-        .bind(number("max_stored_bytes", new.quotas.max_stored_bytes)?)
-        .fetch_optional(&mut *transaction)
-        .await?;
+        .bind(number("max_stored_bytes", new.quotas.max_stored_bytes)?).scalar(&mut transaction).await?;
         let id = id.ok_or_else(|| StoreError::TokenExists { name: new.name.clone() })?;
         transaction.commit().await?;
         Ok(id)
@@ -95,7 +92,7 @@ impl Store {
     /// All tokens in the order they were made, revoked ones too.
     pub async fn tokens(&self) -> Result<Vec<TokenRecord>, StoreError> {
         let mut reader = self.reader().await?;
-        let rows = sqlx::query("SELECT * FROM tokens ORDER BY id").fetch_all(&mut *reader).await?;
+        let rows = query("SELECT * FROM tokens ORDER BY id").fetch_all(&mut reader).await?;
         rows.iter().map(parse).collect()
     }
 
@@ -105,23 +102,22 @@ impl Store {
     /// [`StoreError::TokenNotFound`] if there is none of this name.
     pub async fn revoke_token(&self, name: &str, now_ns: i64) -> Result<bool, StoreError> {
         let mut transaction = self.begin_write().await?;
-        let revoked: Option<Option<i64>> =
-            sqlx::query_scalar("SELECT revoked_at_ns FROM tokens WHERE name = ?")
-                .bind(name)
-                .fetch_optional(&mut *transaction)
-                .await?;
+        let revoked: Option<Option<i64>> = query("SELECT revoked_at_ns FROM tokens WHERE name = $1")
+            .bind(name)
+            .scalar(&mut transaction)
+            .await?;
         let before = revoked.ok_or_else(|| StoreError::TokenNotFound { name: name.to_owned() })?;
-        sqlx::query("UPDATE tokens SET revoked_at_ns = coalesce(revoked_at_ns, ?) WHERE name = ?")
+        query("UPDATE tokens SET revoked_at_ns = coalesce(revoked_at_ns, $1) WHERE name = $2")
             .bind(now_ns)
             .bind(name)
-            .execute(&mut *transaction)
+            .execute(&mut transaction)
             .await?;
         transaction.commit().await?;
         Ok(before.is_none())
     }
 }
 
-fn parse(row: &SqliteRow) -> Result<TokenRecord, StoreError> {
+fn parse(row: &Row) -> Result<TokenRecord, StoreError> {
     let number = |column: &'static str| -> Result<Option<u64>, StoreError> {
         let value: Option<i64> = row.try_get(column)?;
         value.map(|value| from_column(column, value)).transpose()

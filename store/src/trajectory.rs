@@ -1,5 +1,6 @@
 //! Trajectories, resolved when they are asked for.
 
+use crate::engine::{Connection, Row, query};
 use crate::number::{from_column, keyframe_id, to_column};
 use crate::pose::{PoseBook, read_pose};
 use crate::session::{parse_state, session_number};
@@ -7,8 +8,6 @@ use crate::{Store, StoreError};
 use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
 use geometry::Pose;
 use slam::map::{FrameState, KeyframeId, SubmapId};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, SqliteConnection};
 use std::collections::BTreeMap;
 
 /// Which poses a trajectory is made of.
@@ -85,9 +84,9 @@ impl Store {
         let mut transaction = self.begin_read().await?;
         let number = session_number(&mut transaction, session).await?;
         let book = PoseBook::read(&mut transaction, number).await?;
-        let last: Option<i64> = sqlx::query_scalar("SELECT last_sequence FROM sessions WHERE number = ?")
+        let last: Option<i64> = query("SELECT last_sequence FROM sessions WHERE number = $1")
             .bind(number)
-            .fetch_one(&mut *transaction)
+            .only(&mut transaction)
             .await?;
         let submap = match filter.submaps {
             SubmapChoice::All => None,
@@ -147,14 +146,14 @@ struct Cursor {
 
 const SELECT_FRAMES: &str = "SELECT sequence, timestamp_ns, state, backfilled, reference, \
      qx, qy, qz, qw, tx, ty, tz FROM frames \
-     WHERE session = ?1 AND sequence >= ?2 AND sequence <= ?3 AND reference IS NOT NULL \
-     AND timestamp_ns BETWEEN ?4 AND ?5 ORDER BY sequence LIMIT ?6";
+     WHERE session = $1 AND sequence >= $2 AND sequence <= $3 AND reference IS NOT NULL \
+     AND timestamp_ns BETWEEN $4 AND $5 ORDER BY sequence LIMIT $6";
 
 /// Keyframes are few: those of the whole session are no more than a few steps' worth of frames. Times and
 /// numbers of frames rise together, so one order is the other. State 2 is tracked.
-const SELECT_KEYFRAMES: &str = "SELECT sequence, timestamp_ns, 2, 0, id, qx, qy, qz, qw, tx, ty, tz \
-     FROM keyframes WHERE session = ?1 AND sequence >= ?2 AND sequence <= ?3 \
-     AND timestamp_ns BETWEEN ?4 AND ?5 ORDER BY sequence LIMIT ?6";
+const SELECT_KEYFRAMES: &str = "SELECT sequence, timestamp_ns, CAST(2 AS BIGINT), FALSE, id, qx, qy, qz, qw, tx, ty, tz \
+     FROM keyframes WHERE session = $1 AND sequence >= $2 AND sequence <= $3 \
+     AND timestamp_ns BETWEEN $4 AND $5 ORDER BY sequence LIMIT $6";
 
 impl Cursor {
     /// The next poses; `None` at the end.
@@ -167,14 +166,14 @@ impl Cursor {
             TrajectoryKind::Keyframes => SELECT_KEYFRAMES,
         };
         let mut reader = self.store.reader().await?;
-        let rows = sqlx::query(sql)
+        let rows = query(sql)
             .bind(self.session)
             .bind(self.next)
             .bind(self.last)
             .bind(self.filter.from_timestamp_ns.unwrap_or(i64::MIN))
             .bind(self.filter.to_timestamp_ns.unwrap_or(i64::MAX))
             .bind(FRAMES_PER_STEP)
-            .fetch_all(&mut *reader)
+            .fetch_all(&mut reader)
             .await?;
         drop(reader);
         let Some(last_row) = rows.last() else { return Ok(None) };
@@ -184,7 +183,7 @@ impl Cursor {
     }
 
     /// The pose of a row, where its keyframe has a place.
-    fn resolve(&self, row: &SqliteRow) -> Result<Option<TrajectoryPose>, StoreError> {
+    fn resolve(&self, row: &Row) -> Result<Option<TrajectoryPose>, StoreError> {
         let reference = keyframe_id(row.try_get(4)?)?;
         let camera_from_reference = match self.kind {
             TrajectoryKind::Frames => read_pose(row, 5)?,
@@ -211,7 +210,7 @@ impl Cursor {
 
 /// The submap with the most poses of a kind; `None` if there are none.
 async fn largest_submap(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     kind: TrajectoryKind,
     book: &PoseBook,
@@ -222,19 +221,19 @@ async fn largest_submap(
 }
 
 async fn poses_by_submap(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     kind: TrajectoryKind,
     book: &PoseBook,
 ) -> Result<BTreeMap<SubmapId, u64>, StoreError> {
     let sql = match kind {
         TrajectoryKind::Frames => {
-            "SELECT reference, count(*) FROM frames WHERE session = ? AND reference IS NOT NULL GROUP BY reference"
+            "SELECT reference, count(*) FROM frames WHERE session = $1 AND reference IS NOT NULL GROUP BY reference"
         }
-        TrajectoryKind::Keyframes => "SELECT id, 1 FROM keyframes WHERE session = ?",
+        TrajectoryKind::Keyframes => "SELECT id, CAST(1 AS BIGINT) FROM keyframes WHERE session = $1",
     };
     let mut n_poses: BTreeMap<SubmapId, u64> = BTreeMap::new();
-    for row in sqlx::query(sql).bind(session).fetch_all(connection).await? {
+    for row in query(sql).bind(session).fetch_all(connection).await? {
         if let Some((submap, _)) = book.locate(keyframe_id(row.try_get(0)?)?, &Pose::identity()) {
             *n_poses.entry(submap).or_default() += from_column("a count", row.try_get(1)?)?;
         }
@@ -263,13 +262,13 @@ impl Store {
     pub async fn frame(&self, session: &str, sequence: u64) -> Result<Option<StoredFrame>, StoreError> {
         let mut transaction = self.begin_read().await?;
         let number = session_number(&mut transaction, session).await?;
-        let row = sqlx::query(
+        let row = query(
             "SELECT timestamp_ns, state, reference, qx, qy, qz, qw, tx, ty, tz FROM frames
-             WHERE session = ? AND sequence = ?",
+             WHERE session = $1 AND sequence = $2",
         )
         .bind(number)
         .bind(to_column("sequence", sequence)?)
-        .fetch_optional(&mut *transaction)
+        .fetch_optional(&mut transaction)
         .await?;
         let Some(row) = row else { return Ok(None) };
         let reference: Option<i64> = row.try_get(2)?;

@@ -2,6 +2,8 @@
 //!
 //! * [`world`]: seeded maps made by hand, and updates between them; with the feature `store`, databases of
 //!   them.
+//! * [`postgres`]: with the feature of that name, databases of PostgreSQL; [`stored::Home`] is one of either
+//!   kind.
 //! * [`Session`]: frames through the engine, every map on the way checked, the trajectory kept as a store
 //!   would.
 //! * [`evaluate`]: the error of poses against true ones after alignment, by frame number.
@@ -28,6 +30,8 @@
 mod alignment;
 mod edges;
 pub mod laboratory;
+#[cfg(all(feature = "postgres", unix))]
+pub mod postgres;
 mod session;
 #[cfg(feature = "store")]
 pub mod stored;

@@ -2,6 +2,7 @@
 
 mod backup;
 mod crash;
+mod database;
 mod faults;
 mod idle;
 mod load;

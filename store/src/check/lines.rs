@@ -4,11 +4,11 @@ use super::points::has_cell;
 use super::taken::Taken;
 use super::{Findings, Measured};
 use crate::StoreError;
+use crate::engine::{Connection, query};
 use crate::lines::{LINE_COLUMNS, N_LINE_COLUMNS, parse_line};
-use crate::points::cell::{Cell, cell_key};
+use crate::points::cell::{Cell, MAX_POINT_ID, cell_key};
 use futures_util::TryStreamExt;
 use slam::map::{LineLandmark, PrimitiveId};
-use sqlx::{AssertSqlSafe, SqliteConnection};
 use std::collections::BTreeSet;
 
 /// How far an end may lie from its line, as a share of how far from the origin it is: far more than rounding
@@ -17,7 +17,7 @@ const MAX_END_ERROR: f64 = 1e-3;
 
 /// Checks lines with their observations and cells; how many lines there are.
 pub(super) async fn check_lines(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     measured: &Measured,
     primitives: &BTreeSet<PrimitiveId>,
@@ -27,10 +27,9 @@ pub(super) async fn check_lines(
     let mut n_lines = 0;
     let sql = format!(
         "SELECT {LINE_COLUMNS}, x_min, x_max, y_min, y_max, z_min, z_max
-         FROM lines LEFT JOIN line_cells ON key = ? | id WHERE session = ? ORDER BY id"
+         FROM lines LEFT JOIN line_cells ON key = $1 | id WHERE session = $2 ORDER BY id"
     );
-    let mut rows =
-        sqlx::query(AssertSqlSafe(sql)).bind(cell_key(session, 0)).bind(session).fetch(&mut *connection);
+    let mut rows = query(sql).bind(cell_key(session, 0)).bind(session).fetch(&mut *connection);
     while let Some(row) = rows.try_next().await? {
         n_lines += 1;
         let Some(line) = problems.note(parse_line(&row))? else { continue };
@@ -41,11 +40,11 @@ pub(super) async fn check_lines(
     }
     drop(rows);
 
-    let n_cells: i64 =
-        sqlx::query_scalar("SELECT count(*) FROM line_cells WHERE session_min >= ?1 AND session_max <= ?1")
-            .bind(session)
-            .fetch_one(connection)
-            .await?;
+    let n_cells = query(
+        "SELECT count(*) FROM line_cells
+         WHERE session_min = $1 AND key BETWEEN ($1 << 40) AND (($1 << 40) | $2)",
+    );
+    let n_cells: i64 = n_cells.bind(session).bind(MAX_POINT_ID as i64).only(connection).await?;
     if n_cells != n_lines as i64 {
         problems.add(format!("{n_cells} places are noted for {n_lines} lines"));
     }

@@ -6,9 +6,9 @@ mod poses;
 mod primitives;
 mod taken;
 
+use crate::engine::{Connection, query};
 use crate::{Store, StoreError};
 use slam::map::KeyframeId;
-use sqlx::{Row, SqliteConnection};
 use std::collections::BTreeMap;
 use std::fmt;
 
@@ -115,15 +115,12 @@ impl Store {
     }
 }
 
-async fn check_sessions(
-    connection: &mut SqliteConnection,
-    problems: &mut Vec<Finding>,
-) -> Result<(), StoreError> {
-    let sessions = sqlx::query("SELECT number, id FROM sessions WHERE id IS NOT NULL ORDER BY id")
+async fn check_sessions(connection: &mut Connection, problems: &mut Vec<Finding>) -> Result<(), StoreError> {
+    let sessions = query("SELECT number, id FROM sessions WHERE id IS NOT NULL ORDER BY id")
         .fetch_all(&mut *connection)
         .await;
     let mut of_table = Findings::new(None);
-    let sessions = of_table.note(sessions.map_err(StoreError::from))?.unwrap_or_default();
+    let sessions = of_table.note(sessions)?.unwrap_or_default();
     of_table.finish(problems);
     for row in sessions {
         let mut found = Findings::new(Some(row.try_get(1)?));
@@ -135,17 +132,18 @@ async fn check_sessions(
     Ok(())
 }
 
-async fn check_file(
-    connection: &mut SqliteConnection,
-    problems: &mut Vec<Finding>,
-) -> Result<(), StoreError> {
+async fn check_file(connection: &mut Connection, problems: &mut Vec<Finding>) -> Result<(), StoreError> {
+    // PostgreSQL looks after its files itself (data checksums, amcheck).
+    if let Connection::Postgres(..) = connection {
+        return Ok(());
+    }
     let mut found = Findings::new(None);
     // The argument bounds how many lines are reported.
-    let lines = sqlx::query_scalar("PRAGMA integrity_check(100)").fetch_all(&mut *connection).await;
-    let lines: Vec<String> = found.note(lines.map_err(StoreError::from))?.unwrap_or_default();
+    let lines = query("PRAGMA integrity_check(100)").scalars(&mut *connection).await;
+    let lines: Vec<String> = found.note(lines)?.unwrap_or_default();
     lines.iter().filter(|line| *line != "ok").for_each(|line| found.add(line));
-    let dangling = sqlx::query("PRAGMA foreign_key_check").fetch_all(&mut *connection).await;
-    for row in &found.note(dangling.map_err(StoreError::from))?.unwrap_or_default() {
+    let dangling = query("PRAGMA foreign_key_check").fetch_all(&mut *connection).await;
+    for row in &found.note(dangling)?.unwrap_or_default() {
         let (table, parent): (String, String) = (row.try_get(0)?, row.try_get(2)?);
         found.add(format!("a row of {table} refers to one of {parent} that is not there"));
     }
@@ -153,15 +151,15 @@ async fn check_file(
     Ok(())
 }
 
-/// Checks the R*Trees of spatial queries.
-async fn check_places(
-    connection: &mut SqliteConnection,
-    problems: &mut Vec<Finding>,
-) -> Result<(), StoreError> {
+/// Checks the R*Trees of spatial queries; PostgreSQL's indexes are its own.
+async fn check_places(connection: &mut Connection, problems: &mut Vec<Finding>) -> Result<(), StoreError> {
+    if let Connection::Postgres(..) = connection {
+        return Ok(());
+    }
     let mut found = Findings::new(None);
     for statement in ["SELECT rtreecheck('point_cells')", "SELECT rtreecheck('line_cells')"] {
-        let tree = sqlx::query_scalar(statement).fetch_one(&mut *connection).await;
-        let tree: Option<String> = found.note(tree.map_err(StoreError::from))?;
+        let tree = query(statement).only(&mut *connection).await;
+        let tree: Option<String> = found.note(tree)?;
         if let Some(tree) = tree.filter(|tree| tree != "ok") {
             found.add(tree);
         }
@@ -175,14 +173,12 @@ async fn check_places(
 type Measured = BTreeMap<KeyframeId, [usize; 3]>;
 
 async fn check_session(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     problems: &mut Findings,
 ) -> Result<(), StoreError> {
-    let row = sqlx::query("SELECT * FROM sessions WHERE number = ?")
-        .bind(session)
-        .fetch_one(&mut *connection)
-        .await?;
+    let row =
+        query("SELECT * FROM sessions WHERE number = $1").bind(session).fetch_one(&mut *connection).await?;
     let record = problems.note(crate::session::parse_session(&row))?;
     let measured = poses::check_keyframes(connection, session, problems).await?;
     poses::check_removed(connection, session, problems).await?;

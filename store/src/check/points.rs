@@ -3,16 +3,15 @@
 use super::taken::Taken;
 use super::{Findings, Measured};
 use crate::StoreError;
-use crate::points::cell::{Cell, cell_key};
+use crate::engine::{Connection, Row, query};
+use crate::points::cell::{Cell, MAX_POINT_ID, cell_key};
 use crate::points::{POINT_COLUMNS, parse_point};
 use futures_util::TryStreamExt;
 use slam::map::PointLandmark;
-use sqlx::sqlite::SqliteRow;
-use sqlx::{AssertSqlSafe, Row, SqliteConnection};
 
 /// Checks points with their observations and cells; how many points there are.
 pub(super) async fn check_points(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     measured: &Measured,
     problems: &mut Findings,
@@ -21,10 +20,9 @@ pub(super) async fn check_points(
     let mut n_points = 0;
     let sql = format!(
         "SELECT {POINT_COLUMNS}, x_min, x_max, y_min, y_max, z_min, z_max
-         FROM points LEFT JOIN point_cells ON key = ? | id WHERE session = ? ORDER BY id"
+         FROM points LEFT JOIN point_cells ON key = $1 | id WHERE session = $2 ORDER BY id"
     );
-    let mut rows =
-        sqlx::query(AssertSqlSafe(sql)).bind(cell_key(session, 0)).bind(session).fetch(&mut *connection);
+    let mut rows = query(sql).bind(cell_key(session, 0)).bind(session).fetch(&mut *connection);
     while let Some(row) = rows.try_next().await? {
         n_points += 1;
         let Some(point) = problems.note(parse_point(&row))? else { continue };
@@ -35,11 +33,11 @@ pub(super) async fn check_points(
     }
     drop(rows);
 
-    let n_cells: i64 =
-        sqlx::query_scalar("SELECT count(*) FROM point_cells WHERE session_min >= ?1 AND session_max <= ?1")
-            .bind(session)
-            .fetch_one(connection)
-            .await?;
+    let n_cells = query(
+        "SELECT count(*) FROM point_cells
+         WHERE session_min = $1 AND key BETWEEN ($1 << 40) AND (($1 << 40) | $2)",
+    );
+    let n_cells: i64 = n_cells.bind(session).bind(MAX_POINT_ID as i64).only(connection).await?;
     if n_cells != n_points as i64 {
         problems.add(format!("{n_cells} places are noted for {n_points} points"));
     }
@@ -61,7 +59,7 @@ fn check_point(point: &PointLandmark, keypoints: &mut Taken, problems: &mut Find
 }
 
 /// Whether the tree's entry, in the six columns from `first` on, is the cell but for rounding outwards.
-pub(super) fn has_cell(row: &SqliteRow, first: usize, cell: &Cell) -> Result<bool, StoreError> {
+pub(super) fn has_cell(row: &Row, first: usize, cell: &Cell) -> Result<bool, StoreError> {
     for axis in 0..3 {
         let low: Option<f64> = row.try_get(first + 2 * axis)?;
         let high: Option<f64> = row.try_get(first + 1 + 2 * axis)?;

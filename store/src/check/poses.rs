@@ -3,27 +3,26 @@
 use super::{Findings, Measured};
 use crate::StoreError;
 use crate::blob::{MeasuredCounts, check_features, decode_vanishing};
+use crate::engine::{Connection, Row, query};
 use crate::number::{from_column, keyframe_id};
 use crate::pose::{PoseBook, read_local_scale, read_pose};
 use crate::segments::Segments;
 use crate::session::parse_state;
 use futures_util::TryStreamExt;
 use geometry::Pose;
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, SqliteConnection};
 
 /// Checks keyframes and their features; how much was measured in each.
 pub(super) async fn check_keyframes(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     problems: &mut Findings,
 ) -> Result<Measured, StoreError> {
     let mut measured = Measured::new();
-    let mut rows = sqlx::query(
+    let mut rows = query(
         "SELECT id, qx, qy, qz, qw, tx, ty, tz, n_keypoints, features, n_segments, vanishing, unit
          FROM keyframes k LEFT JOIN keyframe_features f ON f.session = k.session AND f.keyframe = k.id
          LEFT JOIN keyframe_vanishing v ON v.session = k.session AND v.keyframe = k.id
-         WHERE k.session = ? ORDER BY id",
+         WHERE k.session = $1 ORDER BY id",
     )
     .bind(session)
     .fetch(connection);
@@ -72,7 +71,7 @@ pub(super) async fn check_keyframes(
 
 /// Checks that each removed keyframe hangs, by however many others, on one that is in the map.
 pub(super) async fn check_removed(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     problems: &mut Findings,
 ) -> Result<(), StoreError> {
@@ -90,16 +89,16 @@ pub(super) async fn check_removed(
 
 /// Checks the trajectory; how many frames there are, and the last one's number and time.
 pub(super) async fn check_frames(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     problems: &mut Findings,
 ) -> Result<(u64, Option<(u64, i64)>), StoreError> {
     let segments = Segments::read(connection, session).await?;
     let engine_ns = |(sequence, timestamp_ns): (u64, i64)| segments.engine_ns(sequence, timestamp_ns);
     let (mut n_frames, mut last) = (0, None);
-    let mut rows = sqlx::query(
+    let mut rows = query(
         "SELECT sequence, timestamp_ns, state, reference, qx, qy, qz, qw, tx, ty, tz
-         FROM frames WHERE session = ? ORDER BY sequence",
+         FROM frames WHERE session = $1 ORDER BY sequence",
     )
     .bind(session)
     .fetch(connection);
@@ -114,7 +113,7 @@ pub(super) async fn check_frames(
     Ok((n_frames, last))
 }
 
-fn check_frame(row: &SqliteRow) -> Result<(u64, i64), StoreError> {
+fn check_frame(row: &Row) -> Result<(u64, i64), StoreError> {
     let sequence = from_column("a sequence", row.try_get(0)?)?;
     parse_state(row.try_get(2)?)?;
     let reference: Option<i64> = row.try_get(3)?;

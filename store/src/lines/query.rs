@@ -2,6 +2,7 @@
 
 use super::geometry::{meets_ball, meets_box};
 use super::{LINE_COLUMNS, parse_line};
+use crate::engine::{Connection, query};
 use crate::points::cell::{MAX_POINT_ID, point_of_key};
 use crate::points::{push_cell_keys, region};
 use crate::session::session_number;
@@ -9,7 +10,6 @@ use crate::{Bounds, Page, Store, StoreError};
 use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
 use nalgebra::Vector3;
 use slam::map::{LineId, LineLandmark, PrimitiveId, SubmapId};
-use sqlx::{QueryBuilder, Row, SqliteConnection};
 use std::collections::BTreeSet;
 
 /// Which lines are wanted; every condition given must hold for the part of the line that was seen. Bounds
@@ -91,7 +91,7 @@ impl Store {
         session: &str,
         ids: &BTreeSet<LineId>,
     ) -> Result<BoxStream<'static, Result<LineLandmark, StoreError>>, StoreError> {
-        let session = session_number(&mut *self.reader().await?, session).await?;
+        let session = session_number(&mut self.reader().await?, session).await?;
         let ids: Vec<i64> = ids.iter().map(|id| id.get().min(MAX_POINT_ID) as i64).collect();
         let (query, candidates) = (LineQuery::default(), Some(ids.into_iter()));
         Ok(LineCursor { session, query, after: 0, candidates }.stream(self.clone()))
@@ -111,7 +111,7 @@ pub(crate) struct LineCursor {
 impl LineCursor {
     /// Before the first line with an id above `after`.
     pub async fn new(
-        connection: &mut SqliteConnection,
+        connection: &mut Connection,
         session: i64,
         query: LineQuery,
         after: i64,
@@ -126,7 +126,7 @@ impl LineCursor {
     /// The rest of the lines; no reader is held between steps.
     fn stream(self, store: Store) -> BoxStream<'static, Result<LineLandmark, StoreError>> {
         let steps = stream::try_unfold((store, self), |(store, mut cursor)| async move {
-            let step = cursor.step(&mut *store.reader().await?).await?;
+            let step = cursor.step(&mut store.reader().await?).await?;
             let items = step.map(|lines| stream::iter(lines).map(Ok::<_, StoreError>));
             Ok::<_, StoreError>(items.map(|items| (items, (store, cursor))))
         });
@@ -136,17 +136,16 @@ impl LineCursor {
     /// The next lines, possibly none of those looked at; `None` at the end.
     pub async fn step(
         &mut self,
-        connection: &mut SqliteConnection,
+        connection: &mut Connection,
     ) -> Result<Option<Vec<LineLandmark>>, StoreError> {
-        let mut sql = QueryBuilder::new("SELECT ");
+        let mut sql = query("SELECT ");
         sql.push(LINE_COLUMNS).push(" FROM lines WHERE session = ").push_bind(self.session);
         if let Some(candidates) = &mut self.candidates {
             let ids: Vec<i64> = candidates.by_ref().take(LINES_PER_STEP).collect();
             if ids.is_empty() {
                 return Ok(None);
             }
-            let list = crate::save::id_list(ids.iter().map(|id| *id as u64));
-            sql.push(" AND id IN (SELECT value FROM json_each(").push_bind(list).push("))");
+            sql.push(" AND id IN IDS(").push_bind(ids).push(")");
         } else {
             sql.push(" AND id > ").push_bind(self.after);
         }
@@ -160,7 +159,7 @@ impl LineCursor {
             sql.push(" AND primitive = ").push_bind(primitive.get() as i64);
         }
         sql.push(" ORDER BY id LIMIT ").push_bind(LINES_PER_STEP as i64);
-        let rows = sql.build().fetch_all(connection).await?;
+        let rows = sql.fetch_all(connection).await?;
         let mut lines = rows.iter().map(parse_line).collect::<Result<Vec<_>, _>>()?;
         if self.candidates.is_none() {
             let Some(last) = lines.last() else { return Ok(None) };
@@ -173,16 +172,15 @@ impl LineCursor {
 
 /// Ids above one, in order, of the lines whose boxes meet a box.
 async fn select_candidates(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     after: i64,
     region: &Bounds,
 ) -> Result<Vec<i64>, StoreError> {
-    let mut sql = QueryBuilder::new("");
-    push_cell_keys(&mut sql, "line_cells", session, after, region);
-    let rows = sql.build().fetch_all(connection).await?;
-    let mut ids =
-        rows.iter().map(|row| Ok(point_of_key(row.try_get(0)?))).collect::<Result<Vec<_>, StoreError>>()?;
+    let mut sql = query("");
+    push_cell_keys(&mut sql, connection, "line_cells", session, after, region);
+    let keys: Vec<i64> = sql.scalars(connection).await?;
+    let mut ids: Vec<i64> = keys.into_iter().map(point_of_key).collect();
     ids.sort_unstable();
     Ok(ids)
 }

@@ -2,6 +2,7 @@
 
 use crate::StoreError;
 use crate::blob::{decode_descriptor, decode_observations, encode_descriptor, encode_observations};
+use crate::engine::Row;
 use crate::number::{
     from_column_u32, keyframe_column, keyframe_id, line_id, primitive_id, submap_id, to_column,
 };
@@ -9,8 +10,6 @@ use crate::points::cell::MAX_POINT_ID;
 use geometry::Line3;
 use nalgebra::Vector3;
 use slam::map::LineLandmark;
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 /// The columns of a line after its session, in the order [`parse_line`] expects.
 pub(crate) const LINE_COLUMNS: &str = "id, submap, moment_x, moment_y, moment_z, direction_x, direction_y, \
@@ -62,7 +61,7 @@ impl LineRow {
 }
 
 /// A line from [`LINE_COLUMNS`].
-pub(crate) fn parse_line(row: &SqliteRow) -> Result<LineLandmark, StoreError> {
+pub(crate) fn parse_line(row: &Row) -> Result<LineLandmark, StoreError> {
     let id = line_id(row.try_get(0)?)?;
     let corrupt = |what: &dyn std::fmt::Display| StoreError::Corrupt(format!("line {id}: {what}"));
     let vector = |first: usize| -> Result<Vector3<f64>, StoreError> {

@@ -2,13 +2,12 @@
 
 use super::cell::{MAX_POINT_ID, cell_key, point_of_key};
 use super::{Form, PLACED, PlacedPoint, WHOLE};
+use crate::engine::{Connection, Query, Row, query};
 use crate::session::session_number;
 use crate::{Page, Store, StoreError};
 use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
 use nalgebra::Vector3;
 use slam::map::{PointId, PointLandmark, SubmapId};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{QueryBuilder, Row, Sqlite, SqliteConnection};
 use std::collections::BTreeSet;
 
 /// A box with sides along the axes, its faces included; map units.
@@ -37,6 +36,9 @@ pub struct PointQuery {
 /// Points read at a time by a stream: a statement takes about a millisecond.
 const POINTS_PER_STEP: usize = 512;
 
+/// Lengths beyond this are taken for it: PostgreSQL refuses to square what has no square.
+const MAX_COORDINATE: f64 = 1e150;
+
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 impl PointQuery {
@@ -46,7 +48,7 @@ impl PointQuery {
     }
 
     /// Adds the conditions on a point's row.
-    fn push_conditions(&self, sql: &mut QueryBuilder<Sqlite>) {
+    fn push_conditions(&self, sql: &mut Query) {
         if self.min_observations > 0 {
             sql.push(" AND n_observations >= ").push_bind(self.min_observations);
         }
@@ -60,7 +62,10 @@ impl PointQuery {
         }
         if let Some((center, radius)) = self.near {
             let mut separator = " AND (";
+            let radius = radius.min(MAX_COORDINATE);
             for (axis, place) in AXES.into_iter().zip(center.iter()) {
+                // Not `clamp`, which refuses what is not a number.
+                let place = &place.min(MAX_COORDINATE).max(-MAX_COORDINATE);
                 sql.push(separator).push("(").push(axis).push(" - ").push_bind(*place);
                 sql.push(") * (").push(axis).push(" - ").push_bind(*place).push(")");
                 separator = " + ";
@@ -82,19 +87,38 @@ pub(crate) fn region(bounds: Option<Bounds>, near: Option<(Vector3<f64>, f64)>) 
     }
 }
 
-/// Adds a question to an R*Tree: the keys of a session's entries after one whose cells meet a box.
+/// The box of a cell in PostgreSQL, as its index has it.
+const CELL: &str = "cube(ARRAY[session_min, x_min, y_min, z_min], ARRAY[session_max, x_max, y_max, z_max])";
+
+/// Adds a question to a tree of cells: the keys of a session's entries after one whose cells meet a box.
 pub(crate) fn push_cell_keys(
-    sql: &mut QueryBuilder<Sqlite>,
+    sql: &mut Query,
+    connection: &Connection,
     tree: &'static str,
     session: i64,
     after: i64,
     region: &Bounds,
 ) {
-    sql.push("SELECT key FROM ").push(tree).push(" WHERE session_min >= ").push_bind(session);
-    sql.push(" AND session_max <= ").push_bind(session);
-    for (axis, (low, high)) in AXES.into_iter().zip(region.min.iter().zip(&region.max)) {
-        sql.push(" AND ").push(axis).push("_max >= ").push_bind(*low);
-        sql.push(" AND ").push(axis).push("_min <= ").push_bind(*high);
+    sql.push("SELECT key FROM ").push(tree).push(" WHERE ");
+    match connection {
+        Connection::Sqlite(_) => {
+            sql.push("session_min >= ").push_bind(session).push(" AND session_max <= ").push_bind(session);
+            for (axis, (low, high)) in AXES.into_iter().zip(region.min.iter().zip(&region.max)) {
+                sql.push(" AND ").push(axis).push("_max >= ").push_bind(*low);
+                sql.push(" AND ").push(axis).push("_min <= ").push_bind(*high);
+            }
+        }
+        Connection::Postgres(..) => {
+            let corner = |of: &Vector3<f64>| vec![session as f64, of.x, of.y, of.z];
+            // What is asked for with a box and a place that do not meet may be long enough to meet both. A
+            // cube takes its corners in any order, which finds those and more; all are looked at exactly.
+            if region.min.iter().chain(&region.max).all(|value| !value.is_nan()) {
+                sql.push(CELL).push(" && cube(").push_bind(corner(&region.min)).push(", ");
+                sql.push_bind(corner(&region.max)).push(")");
+            } else {
+                sql.push("FALSE");
+            }
+        }
     }
     sql.push(" AND key > ").push_bind(cell_key(session, after));
 }
@@ -152,7 +176,7 @@ impl Store {
         session: &str,
         ids: &BTreeSet<PointId>,
     ) -> Result<BoxStream<'static, Result<PointLandmark, StoreError>>, StoreError> {
-        let number = session_number(&mut *self.reader().await?, session).await?;
+        let number = session_number(&mut self.reader().await?, session).await?;
         let ids: Vec<i64> = ids.iter().map(|id| id.get().min(MAX_POINT_ID) as i64).collect();
         Ok(Cursor::of(self.clone(), &WHOLE, number, PointQuery::default(), Some(ids.into_iter())).stream())
     }
@@ -257,62 +281,60 @@ impl<T: Send + 'static> Cursor<T> {
     }
 }
 
-fn select_from_points(columns: &str, session: i64) -> QueryBuilder<Sqlite> {
-    let mut sql = QueryBuilder::new("SELECT ");
+fn select_from_points(columns: &str, session: i64) -> Query {
+    let mut sql = query("SELECT ");
     sql.push(columns).push(" FROM points WHERE session = ").push_bind(session);
     sql
 }
 
 pub(crate) async fn select_points<T>(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     form: &Form<T>,
     session: i64,
-    query: &PointQuery,
+    wanted: &PointQuery,
     after: i64,
     limit: usize,
 ) -> Result<Vec<T>, StoreError> {
     let mut sql = select_from_points(form.columns, session);
     sql.push(" AND id > ").push_bind(after);
-    if let Some(region) = query.region() {
+    if let Some(region) = wanted.region() {
         sql.push(" AND id IN (SELECT key & ").push_bind(MAX_POINT_ID as i64).push(" FROM (");
-        push_cell_keys(&mut sql, "point_cells", session, after, &region);
-        sql.push("))");
+        push_cell_keys(&mut sql, connection, "point_cells", session, after, &region);
+        sql.push(") candidates)");
     }
-    query.push_conditions(&mut sql);
+    wanted.push_conditions(&mut sql);
     sql.push(" ORDER BY id LIMIT ").push_bind(limit as i64);
-    parse_points(form, &sql.build().fetch_all(connection).await?)
+    parse_points(form, &sql.fetch_all(connection).await?)
 }
 
 async fn select_points_of<T>(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     form: &Form<T>,
     session: i64,
-    query: &PointQuery,
+    wanted: &PointQuery,
     ids: &[i64],
 ) -> Result<Vec<T>, StoreError> {
     let mut sql = select_from_points(form.columns, session);
-    let list = crate::save::id_list(ids.iter().map(|id| *id as u64));
-    sql.push(" AND id IN (SELECT value FROM json_each(").push_bind(list).push("))");
-    query.push_conditions(&mut sql);
+    sql.push(" AND id IN IDS(").push_bind(ids.to_vec()).push(")");
+    wanted.push_conditions(&mut sql);
     sql.push(" ORDER BY id");
-    parse_points(form, &sql.build().fetch_all(connection).await?)
+    parse_points(form, &sql.fetch_all(connection).await?)
 }
 
 /// Ids, in order, of the points whose cells meet a box.
 async fn select_candidates(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     region: &Bounds,
 ) -> Result<Vec<i64>, StoreError> {
-    let mut sql = QueryBuilder::new("");
-    push_cell_keys(&mut sql, "point_cells", session, 0, region);
-    let rows = sql.build().fetch_all(connection).await?;
-    let mut ids =
-        rows.iter().map(|row| Ok(point_of_key(row.try_get(0)?))).collect::<Result<Vec<_>, StoreError>>()?;
+    let mut sql = query("");
+    push_cell_keys(&mut sql, connection, "point_cells", session, 0, region);
+    let keys: Vec<i64> = sql.scalars(connection).await?;
+    let mut ids: Vec<i64> = keys.into_iter().map(point_of_key).collect();
     ids.sort_unstable();
     Ok(ids)
 }
 
-fn parse_points<T>(form: &Form<T>, rows: &[SqliteRow]) -> Result<Vec<T>, StoreError> {
+fn parse_points<T>(form: &Form<T>, rows: &[Row]) -> Result<Vec<T>, StoreError> {
     rows.iter().map(form.parse).collect()
 }

@@ -3,11 +3,10 @@
 use super::cell::MAX_POINT_ID;
 use crate::StoreError;
 use crate::blob::{decode_descriptor, decode_observations, encode_descriptor, encode_observations};
+use crate::engine::Row;
 use crate::number::{from_column_u32, keyframe_column, keyframe_id, point_id, submap_id};
 use nalgebra::Vector3;
 use slam::map::{PointId, PointLandmark, SubmapId};
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 /// Where a point is, without what recognizing it takes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,7 +26,7 @@ pub(crate) struct Form<T> {
     /// After the session.
     pub columns: &'static str,
     /// From these columns.
-    pub parse: fn(&SqliteRow) -> Result<T, StoreError>,
+    pub parse: fn(&Row) -> Result<T, StoreError>,
     /// Of what was parsed.
     pub id: fn(&T) -> PointId,
 }
@@ -88,7 +87,7 @@ impl PointRow {
     }
 }
 
-fn parse_placed(row: &SqliteRow) -> Result<PlacedPoint, StoreError> {
+fn parse_placed(row: &Row) -> Result<PlacedPoint, StoreError> {
     Ok(PlacedPoint {
         id: point_id(row.try_get(0)?)?,
         submap: submap_id(row.try_get(1)?)?,
@@ -98,7 +97,7 @@ fn parse_placed(row: &SqliteRow) -> Result<PlacedPoint, StoreError> {
 }
 
 /// A point from [`POINT_COLUMNS`].
-pub(crate) fn parse_point(row: &SqliteRow) -> Result<PointLandmark, StoreError> {
+pub(crate) fn parse_point(row: &Row) -> Result<PointLandmark, StoreError> {
     let id = point_id(row.try_get(0)?)?;
     let corrupt = |error| StoreError::Corrupt(format!("point {id}: {error}"));
     let vector = |first: usize| -> Result<Vector3<f64>, StoreError> {

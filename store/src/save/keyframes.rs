@@ -1,41 +1,43 @@
 //! Keyframes of an update, and what removed ones hang on.
 
 use super::KeyframeImage;
-use super::rows::{MultiRow, id_list};
 use crate::StoreError;
 use crate::blob::encode_features;
+use crate::engine::{Connection, MultiRow, ids, query};
 use crate::number::{keyframe_column, to_column};
 use crate::pose::{finite, finite_pose_columns};
 use crate::segments::Segments;
 use slam::Keyframe;
 use slam::map::{KeyframeId, MapUpdate, RemovedKeyframe};
-use sqlx::SqliteConnection;
 use std::collections::BTreeSet;
 
 const KEYFRAME_ROWS: MultiRow = MultiRow {
-    insert: "INSERT INTO keyframes (session, id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, \
-             unit, parent, n_keypoints, n_points, n_segments, n_lines) VALUES ",
-    n_columns: 18,
-    conflict: " ON CONFLICT (session, id) DO UPDATE SET submap = excluded.submap, qx = excluded.qx, \
+    table: "keyframes",
+    columns: "session, id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, unit, \
+              parent, n_keypoints, n_points, n_segments, n_lines",
+    conflict: "ON CONFLICT (session, id) DO UPDATE SET submap = excluded.submap, qx = excluded.qx, \
                qy = excluded.qy, qz = excluded.qz, qw = excluded.qw, tx = excluded.tx, ty = excluded.ty, \
                tz = excluded.tz, unit = excluded.unit, parent = excluded.parent, n_points = excluded.n_points, \
                n_lines = excluded.n_lines",
+    is_virtual: false,
 };
 
 const REMOVED_ROWS: MultiRow = MultiRow {
-    insert: "INSERT INTO removed_keyframes (session, id, anchor, qx, qy, qz, qw, tx, ty, tz) VALUES ",
-    n_columns: 10,
-    conflict: " ON CONFLICT (session, id) DO UPDATE SET anchor = excluded.anchor, qx = excluded.qx, \
+    table: "removed_keyframes",
+    columns: "session, id, anchor, qx, qy, qz, qw, tx, ty, tz",
+    conflict: "ON CONFLICT (session, id) DO UPDATE SET anchor = excluded.anchor, qx = excluded.qx, \
                qy = excluded.qy, qz = excluded.qz, qw = excluded.qw, tx = excluded.tx, ty = excluded.ty, \
                tz = excluded.tz",
+    is_virtual: false,
 };
 
 /// Features are large: statements of one row, the text of which is prepared once.
-const INSERT_FEATURES: &str = "INSERT INTO keyframe_features (session, keyframe, features) VALUES (?, ?, ?)";
+const INSERT_FEATURES: &str =
+    "INSERT INTO keyframe_features (session, keyframe, features) VALUES ($1, $2, $3)";
 
 /// Writes changed keyframes' rows, deletes removed ones', and notes what those hang on.
 pub(super) async fn write_keyframes(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     update: &MapUpdate,
     segments: &Segments,
@@ -65,15 +67,15 @@ pub(super) async fn write_keyframes(
 /// Copies images of keyframes of one session to those of another, given by their numbers there and here; what
 /// has none, or is not in the map any more, is passed over.
 pub(super) async fn copy_images(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     (from, into): (i64, i64),
     keyframes: &[(KeyframeId, KeyframeId)],
 ) -> Result<(), StoreError> {
     for (there, here) in keyframes {
-        sqlx::query(
+        query(
             "INSERT INTO keyframe_images (session, keyframe, media_type, bytes)
-             SELECT ?1, ?2, media_type, bytes FROM keyframe_images WHERE session = ?3 AND keyframe = ?4
-             AND EXISTS (SELECT 1 FROM keyframes WHERE session = ?1 AND id = ?2)",
+             SELECT $1, $2, media_type, bytes FROM keyframe_images WHERE session = $3 AND keyframe = $4
+             AND EXISTS (SELECT 1 FROM keyframes WHERE session = $1 AND id = $2)",
         )
         .bind(into)
         .bind(keyframe_column(*here)?)
@@ -86,7 +88,7 @@ pub(super) async fn copy_images(
 }
 
 async fn delete_keyframes(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     update: &MapUpdate,
 ) -> Result<(), StoreError> {
@@ -101,9 +103,9 @@ async fn delete_keyframes(
     if gone.is_empty() {
         return Ok(());
     }
-    sqlx::query("DELETE FROM keyframes WHERE session = ? AND id IN (SELECT value FROM json_each(?))")
+    query("DELETE FROM keyframes WHERE session = $1 AND id IN IDS($2)")
         .bind(session)
-        .bind(id_list(gone.iter().map(|id| id.get())))
+        .bind(ids(gone.iter().map(|id| id.get())))
         .execute(&mut *connection)
         .await?;
 
@@ -120,38 +122,35 @@ async fn delete_keyframes(
         .await?;
     if removed.len() < gone.len() {
         // A whole submap went, and with it what hung on its keyframes.
-        sqlx::query(
-            "DELETE FROM removed_keyframes WHERE session = ? AND id NOT IN (SELECT value FROM json_each(?))",
-        )
-        .bind(session)
-        .bind(id_list(update.map.removed_keyframes().map(|removed| removed.id.get())))
-        .execute(connection)
-        .await?;
+        query("DELETE FROM removed_keyframes WHERE session = $1 AND id NOT IN IDS($2)")
+            .bind(session)
+            .bind(ids(update.map.removed_keyframes().map(|removed| removed.id.get())))
+            .execute(connection)
+            .await?;
     }
     Ok(())
 }
 
 /// Writes the features of keyframes that are new to the database.
 pub(super) async fn write_features(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     update: &MapUpdate,
 ) -> Result<(), StoreError> {
     if update.changes.keyframes.is_empty() {
         return Ok(());
     }
-    let known: Vec<i64> = sqlx::query_scalar(
-        "SELECT keyframe FROM keyframe_features WHERE session = ? AND keyframe IN (SELECT value FROM json_each(?))",
-    )
-    .bind(session)
-    .bind(id_list(update.changes.keyframes.iter().map(|id| id.get())))
-    .fetch_all(&mut *connection)
-    .await?;
+    let known: Vec<i64> =
+        query("SELECT keyframe FROM keyframe_features WHERE session = $1 AND keyframe IN IDS($2)")
+            .bind(session)
+            .bind(ids(update.changes.keyframes.iter().map(|id| id.get())))
+            .scalars(&mut *connection)
+            .await?;
     let known: BTreeSet<i64> = known.into_iter().collect();
     for keyframe in update.changes.keyframes.iter().filter_map(|id| update.map.keyframe(*id)) {
         let id = keyframe_column(keyframe.id)?;
         if !known.contains(&id) {
-            sqlx::query(INSERT_FEATURES)
+            query(INSERT_FEATURES)
                 .bind(session)
                 .bind(id)
                 .bind(encode_features(&keyframe.features))
@@ -164,14 +163,14 @@ pub(super) async fn write_features(
 
 /// Writes images of keyframes that are in the map.
 pub(super) async fn write_images(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     update: &MapUpdate,
     images: &[KeyframeImage],
 ) -> Result<(), StoreError> {
     for image in images.iter().filter(|image| update.map.keyframe(image.keyframe).is_some()) {
-        sqlx::query(
-            "INSERT INTO keyframe_images (session, keyframe, media_type, bytes) VALUES (?, ?, ?, ?)
+        query(
+            "INSERT INTO keyframe_images (session, keyframe, media_type, bytes) VALUES ($1, $2, $3, $4)
              ON CONFLICT (session, keyframe) DO UPDATE SET media_type = excluded.media_type, bytes = excluded.bytes",
         )
         .bind(session)

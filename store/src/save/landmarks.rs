@@ -1,12 +1,10 @@
 //! What landmarks of every kind have in common: rows that go with their cells in an R*Tree.
 
-use super::rows::{Columns, MultiRow, id_list};
 use crate::StoreError;
+use crate::engine::{Columns, Connection, MultiRow, Row, ids, query};
 use crate::points::cell::{Cell, cell_key};
 use slam::Map;
 use slam::map::{MapChanges, MapUpdate};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, SqliteConnection};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A kind of landmark.
@@ -29,7 +27,7 @@ pub(super) trait Landmark: Sized + Sync {
     fn cell(&self) -> Cell;
 
     /// The cell of a row of [`LandmarkTables::select_places`]: a cell follows from the row.
-    fn stored_cell(row: &SqliteRow) -> Result<Cell, StoreError>;
+    fn stored_cell(row: &Row) -> Result<Cell, StoreError>;
 
     /// The columns of the landmark's row.
     fn bind(&self, session: i64, columns: &mut Columns) -> Result<(), StoreError>;
@@ -51,7 +49,7 @@ pub(super) struct LandmarkTables {
 
 /// Deletes removed landmarks with their cells, and changed ones that are not in the map any more.
 pub(super) async fn delete<L: Landmark>(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     update: &MapUpdate,
 ) -> Result<(), StoreError> {
@@ -61,13 +59,13 @@ pub(super) async fn delete<L: Landmark>(
     if gone.is_empty() {
         return Ok(());
     }
-    sqlx::query(L::TABLES.delete_rows)
+    query(L::TABLES.delete_rows)
         .bind(session)
-        .bind(id_list(gone.iter().copied()))
+        .bind(ids(gone.iter().copied()))
         .execute(&mut *connection)
         .await?;
-    sqlx::query(L::TABLES.delete_cells)
-        .bind(id_list(gone.iter().map(|id| cell_key(session, *id as i64) as u64)))
+    query(L::TABLES.delete_cells)
+        .bind(ids(gone.iter().map(|id| cell_key(session, *id as i64) as u64)))
         .execute(connection)
         .await?;
     Ok(())
@@ -75,7 +73,7 @@ pub(super) async fn delete<L: Landmark>(
 
 /// Writes changed landmarks' rows, and the cells of those that are new or left their cells.
 pub(super) async fn write<L: Landmark>(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     update: &MapUpdate,
 ) -> Result<(), StoreError> {
@@ -100,20 +98,20 @@ pub(super) async fn write<L: Landmark>(
 
 /// The cells of those of the landmarks that are stored already.
 async fn read_cells<L: Landmark>(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     landmarks: &[&L],
 ) -> Result<BTreeMap<i64, Cell>, StoreError> {
-    let rows = sqlx::query(L::TABLES.select_places)
+    let rows = query(L::TABLES.select_places)
         .bind(session)
-        .bind(id_list(landmarks.iter().map(|landmark| L::number(landmark.id()))))
+        .bind(ids(landmarks.iter().map(|landmark| L::number(landmark.id()))))
         .fetch_all(connection)
         .await?;
     rows.iter().map(|row| Ok((row.try_get(0)?, L::stored_cell(row)?))).collect()
 }
 
 async fn write_cells<L: Landmark>(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     moved: &[(i64, Cell)],
 ) -> Result<(), StoreError> {

@@ -1,15 +1,13 @@
 //! Lines of an update, and their cells in the R*Tree.
 
 use super::landmarks::{Landmark, LandmarkTables};
-use super::rows::{Columns, MultiRow};
 use crate::StoreError;
-use crate::lines::{LineRow, N_LINE_COLUMNS};
+use crate::engine::{Columns, MultiRow, Row};
+use crate::lines::LineRow;
 use crate::points::cell::Cell;
 use nalgebra::Vector3;
 use slam::Map;
 use slam::map::{LineId, LineLandmark, MapChanges};
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 use std::collections::BTreeSet;
 
 impl Landmark for LineLandmark {
@@ -17,11 +15,11 @@ impl Landmark for LineLandmark {
 
     const TABLES: LandmarkTables = LandmarkTables {
         rows: MultiRow {
-            insert: "INSERT INTO lines (session, id, submap, moment_x, moment_y, moment_z, direction_x, direction_y, \
-                     direction_z, start_x, start_y, start_z, end_x, end_y, end_z, descriptor, created_by, n_visible, \
-                     n_found, primitive, n_observations, observations) VALUES ",
-            n_columns: 1 + N_LINE_COLUMNS,
-            conflict: " ON CONFLICT (session, id) DO UPDATE SET submap = excluded.submap, moment_x = excluded.moment_x, \
+            table: "lines",
+            columns: "session, id, submap, moment_x, moment_y, moment_z, direction_x, direction_y, \
+              direction_z, start_x, start_y, start_z, end_x, end_y, end_z, descriptor, \
+              created_by, n_visible, n_found, primitive, n_observations, observations",
+            conflict: "ON CONFLICT (session, id) DO UPDATE SET submap = excluded.submap, moment_x = excluded.moment_x, \
                        moment_y = excluded.moment_y, moment_z = excluded.moment_z, direction_x = excluded.direction_x, \
                        direction_y = excluded.direction_y, direction_z = excluded.direction_z, \
                        start_x = excluded.start_x, start_y = excluded.start_y, start_z = excluded.start_z, \
@@ -29,16 +27,17 @@ impl Landmark for LineLandmark {
                        descriptor = excluded.descriptor, n_visible = excluded.n_visible, n_found = excluded.n_found, \
                        primitive = excluded.primitive, n_observations = excluded.n_observations, \
                        observations = excluded.observations",
+            is_virtual: false,
         },
         select_places: "SELECT id, start_x, start_y, start_z, end_x, end_y, end_z FROM lines
-         WHERE session = ? AND id IN (SELECT value FROM json_each(?))",
-        delete_rows: "DELETE FROM lines WHERE session = ? AND id IN (SELECT value FROM json_each(?))",
-        delete_cells: "DELETE FROM line_cells WHERE key IN (SELECT value FROM json_each(?))",
+         WHERE session = $1 AND id IN IDS($2)",
+        delete_rows: "DELETE FROM lines WHERE session = $1 AND id IN IDS($2)",
+        delete_cells: "DELETE FROM line_cells WHERE key IN IDS($1)",
         cells: MultiRow {
-            insert: "INSERT OR REPLACE INTO line_cells (key, session_min, session_max, x_min, x_max, y_min, y_max, \
-                     z_min, z_max) VALUES ",
-            n_columns: 9,
-            conflict: "",
+            table: "line_cells",
+            columns: "key, session_min, session_max, x_min, x_max, y_min, y_max, z_min, z_max",
+            conflict: "ON CONFLICT (key) DO UPDATE SET x_min = excluded.x_min, x_max = excluded.x_max, y_min = excluded.y_min, y_max = excluded.y_max, z_min = excluded.z_min, z_max = excluded.z_max",
+            is_virtual: true,
         },
     };
 
@@ -66,7 +65,7 @@ impl Landmark for LineLandmark {
         Cell::of_ends(&self.endpoints)
     }
 
-    fn stored_cell(row: &SqliteRow) -> Result<Cell, StoreError> {
+    fn stored_cell(row: &Row) -> Result<Cell, StoreError> {
         let start = Vector3::new(row.try_get(1)?, row.try_get(2)?, row.try_get(3)?);
         let end = Vector3::new(row.try_get(4)?, row.try_get(5)?, row.try_get(6)?);
         Ok(Cell::of_ends(&[start, end]))

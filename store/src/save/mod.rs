@@ -5,19 +5,17 @@ mod landmarks;
 mod lines;
 mod points;
 mod primitives;
-mod rows;
 
+use crate::engine::{Connection, MultiRow, ids, postgres, query};
 use crate::number::to_column;
 use crate::pose::finite_pose_columns;
 use crate::segments::Segments;
 use crate::session::{
-    SessionCounts, read_session, state_column, write_correction, write_enlarged, write_progress,
+    SessionCounts, hold_session, read_session, state_column, write_correction, write_enlarged, write_progress,
 };
 use crate::{Store, StoreError};
-use rows::MultiRow;
-pub(crate) use rows::id_list;
+
 use slam::map::{FrameRecord, FrameState, KeyframeId, LineLandmark, MapUpdate, PointLandmark};
-use sqlx::SqliteConnection;
 
 /// What the session's row says after an update, besides what the map tells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,6 +44,10 @@ pub struct Committed {
     pub counts: SessionCounts,
 }
 
+/// How often an update is tried again at once after its transaction met another's. Those that write one
+/// session wait for each other, so that they hardly meet.
+const CONFLICT_RETRIES: usize = 3;
+
 impl Store {
     /// Stores an update in one transaction: all of it is in the database afterwards, or none of it.
     ///
@@ -53,9 +55,9 @@ impl Store {
     /// of keyframes that are no longer in the map are left out. After an error the database is as it was and
     /// the same update, alone or merged with later ones, can be tried again.
     ///
-    /// # Errors
-    /// [`StoreError::DiskFull`], [`StoreError::Io`] and [`StoreError::Busy`] may pass; the others will not.
-    /// After [`StoreError::Gone`] the update is in a file that nobody will find again.
+    /// # Errors [`StoreError::DiskFull`], [`StoreError::Io`], [`StoreError::Busy`] and
+    /// [`StoreError::Unreachable`] may pass; the others will not. After [`StoreError::Gone`] the update is in
+    /// a file that nobody will find again.
     pub async fn save_update(
         &self,
         session: &str,
@@ -63,7 +65,13 @@ impl Store {
         status: SessionStatus,
         images: &[KeyframeImage],
     ) -> Result<Committed, StoreError> {
-        let outcome = self.write_update(session, update, status, images).await;
+        let mut outcome = self.write_update(session, update, status, images).await;
+        for _ in 0..CONFLICT_RETRIES {
+            if !outcome.as_ref().is_err_and(postgres::is_conflict) {
+                break;
+            }
+            outcome = self.write_update(session, update, status, images).await;
+        }
         self.place().note(&outcome);
         outcome
     }
@@ -110,13 +118,13 @@ impl Store {
 
 /// Writes an update's rows, without the commit.
 async fn write_update(
-    transaction: &mut SqliteConnection,
+    transaction: &mut Connection,
     session: &str,
     update: &MapUpdate,
     status: SessionStatus,
     images: &[KeyframeImage],
 ) -> Result<Committed, StoreError> {
-    let (number, before) = read_session(transaction, session).await?;
+    let (number, before) = hold_session(transaction, session).await?;
     let segments = Segments::read(transaction, number).await?;
 
     landmarks::delete::<PointLandmark>(transaction, number, update).await?;
@@ -152,18 +160,19 @@ async fn write_update(
 }
 
 const FRAME_ROWS: MultiRow = MultiRow {
-    insert: "INSERT INTO frames (session, sequence, timestamp_ns, state, backfilled, submap, reference, \
-             reason, qx, qy, qz, qw, tx, ty, tz) VALUES ",
-    n_columns: 15,
-    conflict: " ON CONFLICT (session, sequence) DO UPDATE SET timestamp_ns = excluded.timestamp_ns, \
+    table: "frames",
+    columns: "session, sequence, timestamp_ns, state, backfilled, submap, reference, reason, \
+              qx, qy, qz, qw, tx, ty, tz",
+    conflict: "ON CONFLICT (session, sequence) DO UPDATE SET timestamp_ns = excluded.timestamp_ns, \
                state = excluded.state, backfilled = excluded.backfilled, submap = excluded.submap, \
                reference = excluded.reference, reason = excluded.reason, qx = excluded.qx, qy = excluded.qy, qz = excluded.qz, \
                qw = excluded.qw, tx = excluded.tx, ty = excluded.ty, tz = excluded.tz",
+    is_virtual: false,
 };
 
 /// Adds frames to the trajectory or replaces them there; how many were added.
 async fn write_frames(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     frames: &[FrameRecord],
     segments: &Segments,
@@ -177,13 +186,11 @@ async fn write_frames(
     frames.sort_by_key(|frame| frame.sequence);
     frames.dedup_by_key(|frame| frame.sequence);
 
-    let n_known: i64 = sqlx::query_scalar(
-        "SELECT count(*) FROM frames WHERE session = ? AND sequence IN (SELECT value FROM json_each(?))",
-    )
-    .bind(session)
-    .bind(id_list(frames.iter().map(|frame| frame.sequence)))
-    .fetch_one(&mut *connection)
-    .await?;
+    let n_known: i64 = query("SELECT count(*) FROM frames WHERE session = $1 AND sequence IN IDS($2)")
+        .bind(session)
+        .bind(ids(frames.iter().map(|frame| frame.sequence)))
+        .only(&mut *connection)
+        .await?;
 
     FRAME_ROWS
         .write(connection, &frames, |columns, frame| {

@@ -1,15 +1,13 @@
 //! Points of an update, and their cells in the R*Tree.
 
 use super::landmarks::{Landmark, LandmarkTables};
-use super::rows::{Columns, MultiRow};
 use crate::StoreError;
+use crate::engine::{Columns, MultiRow, Row};
 use crate::points::PointRow;
 use crate::points::cell::Cell;
 use nalgebra::Vector3;
 use slam::Map;
 use slam::map::{MapChanges, PointId, PointLandmark};
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 use std::collections::BTreeSet;
 
 impl Landmark for PointLandmark {
@@ -17,24 +15,25 @@ impl Landmark for PointLandmark {
 
     const TABLES: LandmarkTables = LandmarkTables {
         rows: MultiRow {
-            insert: "INSERT INTO points (session, id, submap, x, y, z, descriptor, view_x, view_y, view_z, min_distance, \
-                     max_distance, created_by, n_visible, n_found, n_observations, observations) VALUES ",
-            n_columns: 17,
-            conflict: " ON CONFLICT (session, id) DO UPDATE SET submap = excluded.submap, x = excluded.x, \
+            table: "points",
+            columns: "session, id, submap, x, y, z, descriptor, view_x, view_y, view_z, min_distance, \
+              max_distance, created_by, n_visible, n_found, n_observations, observations",
+            conflict: "ON CONFLICT (session, id) DO UPDATE SET submap = excluded.submap, x = excluded.x, \
                        y = excluded.y, z = excluded.z, descriptor = excluded.descriptor, view_x = excluded.view_x, \
                        view_y = excluded.view_y, view_z = excluded.view_z, min_distance = excluded.min_distance, \
                        max_distance = excluded.max_distance, n_visible = excluded.n_visible, n_found = excluded.n_found, \
                        n_observations = excluded.n_observations, observations = excluded.observations",
+            is_virtual: false,
         },
         select_places: "SELECT id, x, y, z, max_distance FROM points
-         WHERE session = ? AND id IN (SELECT value FROM json_each(?))",
-        delete_rows: "DELETE FROM points WHERE session = ? AND id IN (SELECT value FROM json_each(?))",
-        delete_cells: "DELETE FROM point_cells WHERE key IN (SELECT value FROM json_each(?))",
+         WHERE session = $1 AND id IN IDS($2)",
+        delete_rows: "DELETE FROM points WHERE session = $1 AND id IN IDS($2)",
+        delete_cells: "DELETE FROM point_cells WHERE key IN IDS($1)",
         cells: MultiRow {
-            insert: "INSERT OR REPLACE INTO point_cells (key, session_min, session_max, x_min, x_max, y_min, y_max, \
-                     z_min, z_max) VALUES ",
-            n_columns: 9,
-            conflict: "",
+            table: "point_cells",
+            columns: "key, session_min, session_max, x_min, x_max, y_min, y_max, z_min, z_max",
+            conflict: "ON CONFLICT (key) DO UPDATE SET x_min = excluded.x_min, x_max = excluded.x_max, y_min = excluded.y_min, y_max = excluded.y_max, z_min = excluded.z_min, z_max = excluded.z_max",
+            is_virtual: true,
         },
     };
 
@@ -62,7 +61,7 @@ impl Landmark for PointLandmark {
         Cell::of(&self.position, self.distance_range.1)
     }
 
-    fn stored_cell(row: &SqliteRow) -> Result<Cell, StoreError> {
+    fn stored_cell(row: &Row) -> Result<Cell, StoreError> {
         let position = Vector3::new(row.try_get(1)?, row.try_get(2)?, row.try_get(3)?);
         Ok(Cell::of(&position, row.try_get(4)?))
     }

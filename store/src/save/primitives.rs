@@ -1,27 +1,27 @@
 //! Global primitives of an update, and the vanishing points of its keyframes.
 
-use super::rows::{MultiRow, id_list};
 use crate::StoreError;
 use crate::blob::{encode_covariance, encode_observations, encode_vanishing};
+use crate::engine::{Connection, MultiRow, ids, query};
 use crate::number::{keyframe_column, to_column};
 use slam::Keyframe;
 use slam::map::{GlobalPrimitive, MapUpdate, Observation};
-use sqlx::{Row, SqliteConnection};
 use std::collections::BTreeMap;
 
 const PRIMITIVE_ROWS: MultiRow = MultiRow {
-    insert: "INSERT INTO primitives (session, id, submap, direction_x, direction_y, direction_z, covariance, \
-             created_by, n_observations, observations) VALUES ",
-    n_columns: 10,
-    conflict: " ON CONFLICT (session, id) DO UPDATE SET submap = excluded.submap, \
+    table: "primitives",
+    columns: "session, id, submap, direction_x, direction_y, direction_z, covariance, \
+              created_by, n_observations, observations",
+    conflict: "ON CONFLICT (session, id) DO UPDATE SET submap = excluded.submap, \
                direction_x = excluded.direction_x, direction_y = excluded.direction_y, \
                direction_z = excluded.direction_z, covariance = excluded.covariance, \
                n_observations = excluded.n_observations, observations = excluded.observations",
+    is_virtual: false,
 };
 
 /// Writes changed primitives' rows and deletes those that are not in the map any more.
 pub(super) async fn write_primitives(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     update: &MapUpdate,
 ) -> Result<(), StoreError> {
@@ -56,9 +56,9 @@ pub(super) async fn write_primitives(
         .map(|id| id.get())
         .collect();
     if !gone.is_empty() {
-        sqlx::query("DELETE FROM primitives WHERE session = ? AND id IN (SELECT value FROM json_each(?))")
+        query("DELETE FROM primitives WHERE session = $1 AND id IN IDS($2)")
             .bind(session)
-            .bind(id_list(gone))
+            .bind(ids(gone))
             .execute(connection)
             .await?;
     }
@@ -68,7 +68,7 @@ pub(super) async fn write_primitives(
 /// Writes the vanishing points of changed keyframes where they are not stored already, which they mostly
 /// are.
 pub(super) async fn write_vanishing(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     session: i64,
     update: &MapUpdate,
 ) -> Result<(), StoreError> {
@@ -77,12 +77,12 @@ pub(super) async fn write_vanishing(
     if changed.is_empty() {
         return Ok(());
     }
-    let rows = sqlx::query(
+    let rows = query(
         "SELECT keyframe, vanishing FROM keyframe_vanishing
-         WHERE session = ? AND keyframe IN (SELECT value FROM json_each(?))",
+         WHERE session = $1 AND keyframe IN IDS($2)",
     )
     .bind(session)
-    .bind(id_list(changed.iter().map(|keyframe| keyframe.id.get())))
+    .bind(ids(changed.iter().map(|keyframe| keyframe.id.get())))
     .fetch_all(&mut *connection)
     .await?;
     let stored = rows
@@ -102,14 +102,14 @@ pub(super) async fn write_vanishing(
             continue;
         }
         let statement = match vanishing {
-            Some(vanishing) => sqlx::query(
-                "INSERT INTO keyframe_vanishing (session, keyframe, vanishing) VALUES (?, ?, ?)
+            Some(vanishing) => query(
+                "INSERT INTO keyframe_vanishing (session, keyframe, vanishing) VALUES ($1, $2, $3)
                  ON CONFLICT (session, keyframe) DO UPDATE SET vanishing = excluded.vanishing",
             )
             .bind(session)
             .bind(id)
             .bind(vanishing),
-            None => sqlx::query("DELETE FROM keyframe_vanishing WHERE session = ? AND keyframe = ?")
+            None => query("DELETE FROM keyframe_vanishing WHERE session = $1 AND keyframe = $2")
                 .bind(session)
                 .bind(id),
         };

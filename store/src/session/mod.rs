@@ -2,14 +2,13 @@
 
 mod json;
 
+use crate::engine::{Connection, Row, query};
 use crate::mask::write_mask;
 use crate::number::{from_column, from_column_u32, to_column};
 use crate::{Page, Store, StoreError};
 use geometry::{Camera, CameraCorrection, CameraParameters};
 use slam::SceneMask;
 use slam::map::{FrameState, LastIds};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, SqliteConnection};
 
 #[cfg(fuzzing)]
 pub(crate) use json::decode_camera;
@@ -104,9 +103,9 @@ impl Store {
     /// [`StoreError::SessionExists`] if the name is taken.
     pub async fn create_session(&self, new: &NewSession) -> Result<SessionRecord, StoreError> {
         let mut transaction = self.begin_write().await?;
-        let inserted = sqlx::query(
+        let inserted = query(
             "INSERT INTO sessions (id, camera, options, created_at_ns, state, enlarges_small_images)
-             VALUES (?, ?, ?, ?, ?, TRUE)
+             VALUES ($1, $2, $3, $4, $5, TRUE)
              ON CONFLICT (id) DO NOTHING",
         )
         .bind(&new.id)
@@ -114,9 +113,9 @@ impl Store {
         .bind(json::encode_options(&new.options)?)
         .bind(new.created_at_ns)
         .bind(state_column(FrameState::Initialising))
-        .execute(&mut *transaction)
+        .execute(&mut transaction)
         .await?;
-        if inserted.rows_affected() == 0 {
+        if inserted == 0 {
             return Err(StoreError::SessionExists { id: new.id.clone() });
         }
         if let Some(mask) = &new.mask {
@@ -143,10 +142,8 @@ impl Store {
     /// [`StoreError::SessionNotFound`].
     pub async fn metres_per_unit(&self, id: &str) -> Result<Option<f64>, StoreError> {
         let mut reader = self.reader().await?;
-        let scale = sqlx::query_scalar("SELECT metres_per_unit FROM sessions WHERE id = ?")
-            .bind(id)
-            .fetch_optional(&mut *reader)
-            .await?;
+        let scale =
+            query("SELECT metres_per_unit FROM sessions WHERE id = $1").bind(id).scalar(&mut reader).await?;
         scale.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })
     }
 
@@ -168,12 +165,12 @@ impl Store {
     ) -> Result<Page<SessionRecord, String>, StoreError> {
         let mut reader = self.reader().await?;
         let rows =
-            sqlx::query("SELECT * FROM sessions WHERE id > ? AND id >= ? AND id < ? ORDER BY id LIMIT ?")
+            query("SELECT * FROM sessions WHERE id > $1 AND id >= $2 AND id < $3 ORDER BY id LIMIT $4")
                 .bind(after.unwrap_or_default())
                 .bind(prefix)
                 .bind(beyond(prefix))
                 .bind(i64::from(page_size) + 1)
-                .fetch_all(&mut *reader)
+                .fetch_all(&mut reader)
                 .await?;
         let sessions = rows
             .iter()
@@ -185,10 +182,10 @@ impl Store {
     /// How many sessions there are whose names begin so.
     pub async fn count_sessions_of(&self, prefix: &str) -> Result<u64, StoreError> {
         let mut reader = self.reader().await?;
-        let n_sessions: i64 = sqlx::query_scalar("SELECT count(*) FROM sessions WHERE id >= ? AND id < ?")
+        let n_sessions: i64 = query("SELECT count(*) FROM sessions WHERE id >= $1 AND id < $2")
             .bind(prefix)
             .bind(beyond(prefix))
-            .fetch_one(&mut *reader)
+            .only(&mut reader)
             .await?;
         from_column("the number of sessions", n_sessions)
     }
@@ -197,16 +194,14 @@ impl Store {
     /// in the file. Only the rows' heads are read.
     pub async fn stored_bytes_of(&self, prefix: &str) -> Result<u64, StoreError> {
         let mut reader = self.reader().await?;
-        let n_bytes: i64 = sqlx::query_scalar(
-            "SELECT coalesce(sum(
+        let n_bytes: i64 = query(
+            "SELECT CAST(coalesce(sum(
                  (SELECT coalesce(sum(length(features)), 0) FROM keyframe_features WHERE session = number) +
-                 (SELECT coalesce(sum(length(bytes)), 0) FROM keyframe_images WHERE session = number)), 0)
-             FROM sessions WHERE id >= ? AND id < ?",
+                 (SELECT coalesce(sum(length(bytes)), 0) FROM keyframe_images WHERE session = number)), 0) AS BIGINT)
+             FROM sessions WHERE id >= $1 AND id < $2",
         )
         .bind(prefix)
-        .bind(beyond(prefix))
-        .fetch_one(&mut *reader)
-        .await?;
+        .bind(beyond(prefix)).only(&mut reader).await?;
         from_column("the size of sessions", n_bytes)
     }
 
@@ -228,17 +223,17 @@ impl Store {
         let mut transaction = self.begin_write().await?;
         let (number, _) = read_session(&mut transaction, id).await?;
         if let Some(options) = &changes.options {
-            sqlx::query("UPDATE sessions SET options = ? WHERE number = ?")
+            query("UPDATE sessions SET options = $1 WHERE number = $2")
                 .bind(json::encode_options(options)?)
                 .bind(number)
-                .execute(&mut *transaction)
+                .execute(&mut transaction)
                 .await?;
         }
         if let Some(scale) = changes.metres_per_unit {
-            sqlx::query("UPDATE sessions SET metres_per_unit = ? WHERE number = ?")
+            query("UPDATE sessions SET metres_per_unit = $1 WHERE number = $2")
                 .bind(scale)
                 .bind(number)
-                .execute(&mut *transaction)
+                .execute(&mut transaction)
                 .await?;
         }
         let record = read_session(&mut transaction, id).await?.1;
@@ -276,24 +271,38 @@ fn beyond(prefix: &str) -> String {
 }
 
 /// The number of a session.
-pub(crate) async fn session_number(connection: &mut SqliteConnection, id: &str) -> Result<i64, StoreError> {
-    sqlx::query_scalar("SELECT number FROM sessions WHERE id = ?")
+pub(crate) async fn session_number(connection: &mut Connection, id: &str) -> Result<i64, StoreError> {
+    query("SELECT number FROM sessions WHERE id = $1")
         .bind(id)
-        .fetch_optional(connection)
+        .scalar(connection)
         .await?
         .ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })
 }
 
 /// A session with its number.
 pub(crate) async fn read_session(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     id: &str,
 ) -> Result<(i64, SessionRecord), StoreError> {
-    let row = sqlx::query("SELECT * FROM sessions WHERE id = ?").bind(id).fetch_optional(connection).await?;
+    let row = query("SELECT * FROM sessions WHERE id = $1").bind(id).fetch_optional(connection).await?;
     parse_session(&row.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?)
 }
 
-pub(crate) fn parse_session(row: &SqliteRow) -> Result<(i64, SessionRecord), StoreError> {
+/// As [`read_session`], in a transaction that is going to write it: who else would waits for its end. SQLite
+/// has one writer at a time anyhow.
+pub(crate) async fn hold_session(
+    connection: &mut Connection,
+    id: &str,
+) -> Result<(i64, SessionRecord), StoreError> {
+    let sql = connection.either(
+        "SELECT * FROM sessions WHERE id = $1",
+        "SELECT * FROM sessions WHERE id = $1 FOR NO KEY UPDATE",
+    );
+    let row = query(sql).bind(id).fetch_optional(connection).await?;
+    parse_session(&row.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?)
+}
+
+pub(crate) fn parse_session(row: &Row) -> Result<(i64, SessionRecord), StoreError> {
     let last_sequence: Option<i64> = row.try_get("last_sequence")?;
     let last_timestamp_ns: Option<i64> = row.try_get("last_timestamp_ns")?;
     let last_sequence = last_sequence.map(|value| from_column("a sequence", value)).transpose()?;
@@ -333,7 +342,7 @@ pub(crate) fn parse_session(row: &SqliteRow) -> Result<(i64, SessionRecord), Sto
 
 /// Writes what a committed update makes of the session's row.
 pub(crate) async fn write_progress(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     number: i64,
     state: FrameState,
     last_frame: Option<(u64, i64)>,
@@ -341,10 +350,10 @@ pub(crate) async fn write_progress(
     counts: &SessionCounts,
 ) -> Result<(), StoreError> {
     let last_sequence = last_frame.map(|(sequence, _)| to_column("sequence", sequence)).transpose()?;
-    sqlx::query(
-        "UPDATE sessions SET state = ?, last_sequence = ?, last_timestamp_ns = ?, last_keyframe_id = ?,
-         last_point_id = ?, last_line_id = ?, last_primitive_id = ?, n_frames = ?, n_keyframes = ?, n_points = ?,
-         n_lines = ?, n_primitives = ?, n_submaps = ? WHERE number = ?",
+    query(
+        "UPDATE sessions SET state = $1, last_sequence = $2, last_timestamp_ns = $3, last_keyframe_id = $4,
+         last_point_id = $5, last_line_id = $6, last_primitive_id = $7, n_frames = $8, n_keyframes = $9, n_points = $10,
+         n_lines = $11, n_primitives = $12, n_submaps = $13 WHERE number = $14",
     )
     .bind(state_column(state))
     .bind(last_sequence)
@@ -366,11 +375,8 @@ pub(crate) async fn write_progress(
 }
 
 /// Notes that the keyframes are of images enlarged for their border.
-pub(crate) async fn write_enlarged(
-    transaction: &mut SqliteConnection,
-    number: i64,
-) -> Result<(), StoreError> {
-    sqlx::query("UPDATE sessions SET enlarges_for_border = TRUE WHERE number = ?")
+pub(crate) async fn write_enlarged(transaction: &mut Connection, number: i64) -> Result<(), StoreError> {
+    query("UPDATE sessions SET enlarges_for_border = TRUE WHERE number = $1")
         .bind(number)
         .execute(transaction)
         .await?;
@@ -379,7 +385,7 @@ pub(crate) async fn write_enlarged(
 
 /// Writes how the session's camera differs from its calibration, and whether the images contradict it.
 pub(crate) async fn write_correction(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     number: i64,
     correction: &CameraCorrection,
     is_contradicted: bool,
@@ -388,9 +394,9 @@ pub(crate) async fn write_correction(
     if ![focal, center_x, center_y, k1, k2].iter().all(|value| value.is_finite()) {
         return Err(StoreError::NotFinite("the correction of the camera".into()));
     }
-    sqlx::query(
-        "UPDATE sessions SET focal_correction = ?, centre_x_correction = ?, centre_y_correction = ?,
-         k1_correction = ?, k2_correction = ?, calibration_contradicted = ? WHERE number = ?",
+    query(
+        "UPDATE sessions SET focal_correction = $1, centre_x_correction = $2, centre_y_correction = $3,
+         k1_correction = $4, k2_correction = $5, calibration_contradicted = $6 WHERE number = $7",
     )
     .bind(focal)
     .bind(center_x)

@@ -27,7 +27,7 @@ async fn a_copy_is_of_one_commit_while_others_go_on() {
     });
     tokio::time::sleep(std::time::Duration::from_millis(50)).await;
     let begun = store.count_sessions_of("").await.unwrap();
-    Store::back_up(store.path(), &copy).await.unwrap();
+    Store::back_up(store.path().unwrap(), &copy).await.unwrap();
     let ended = store.count_sessions_of("").await.unwrap();
     writing.abort();
     let verified = Store::verify(&copy).await.unwrap();
@@ -37,7 +37,10 @@ async fn a_copy_is_of_one_commit_while_others_go_on() {
 
     let copied = Store::open(&copy, StoreOptions::default()).await.unwrap();
     assert_same_parts(&load(&copied).await, &structured(61, SMALL));
-    assert!(Store::back_up(store.path(), &copy).await.is_err(), "a file that is not empty is left alone");
+    assert!(
+        Store::back_up(store.path().unwrap(), &copy).await.is_err(),
+        "a file that is not empty is left alone"
+    );
 }
 
 #[tokio::test]
@@ -61,7 +64,7 @@ async fn what_is_in_the_log_is_verified_too() {
     let store = Store::open(folder.path().join("maps.db"), StoreOptions::default()).await.unwrap();
     store.create_session(&new_session("kitchen")).await.unwrap();
     // The store is open: what was written is in its log.
-    let verified = Store::verify(store.path()).await.unwrap();
+    let verified = Store::verify(store.path().unwrap()).await.unwrap();
     assert_eq!((verified.findings, verified.n_sessions, verified.n_log_bytes_left_out), (vec![], 1, 0));
 }
 

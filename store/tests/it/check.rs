@@ -10,7 +10,7 @@ async fn sound_database(folder: &Path) -> PathBuf {
     store.save_update("s", &first_update(&structured(61, SMALL)), TRACKED, &[]).await.unwrap();
     assert_eq!(store.check().await.unwrap(), []);
     store.close().await.unwrap();
-    store.path().to_path_buf()
+    store.path().unwrap().to_path_buf()
 }
 
 /// What `check` says after a statement was run on a copy of the database.
@@ -142,11 +142,11 @@ async fn pages_overwritten_on_disk_are_found() {
     let store = store_with_session(folder.path()).await;
     store.save_update("s", &first_update(&parts(62, SMALL)), TRACKED, &[]).await.unwrap();
     store.close().await.unwrap();
-    let mut bytes = std::fs::read(store.path()).unwrap();
+    let mut bytes = std::fs::read(store.path().unwrap()).unwrap();
     let n = bytes.len();
     bytes[n - 8192..].fill(0x5a);
-    std::fs::write(store.path(), bytes).unwrap();
-    let store = Store::open(store.path(), StoreOptions::default()).await.unwrap();
+    std::fs::write(store.path().unwrap(), bytes).unwrap();
+    let store = Store::open(store.path().unwrap(), StoreOptions::default()).await.unwrap();
     let outcome = store.check().await;
     assert!(!matches!(&outcome, Ok(problems) if problems.is_empty()), "{outcome:?}");
 }

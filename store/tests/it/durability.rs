@@ -17,11 +17,11 @@ async fn a_full_disk_leaves_the_last_commit_and_the_update_can_be_tried_again() 
     store.save_update("s", &first_update(&parts(41, SMALL)), TRACKED, &[]).await.unwrap();
     store.save_update("ballast", &first_update(&bigger(42)), TRACKED, &[]).await.unwrap();
     store.close().await.unwrap();
-    let n_bytes = std::fs::metadata(store.path()).unwrap().len();
+    let n_bytes = std::fs::metadata(store.path().unwrap()).unwrap().len();
 
     // No more room than the file takes now.
     let options = StoreOptions { max_bytes: Some(n_bytes), ..StoreOptions::default() };
-    let store = Store::open(store.path(), options).await.unwrap();
+    let store = Store::open(store.path().unwrap(), options).await.unwrap();
     store.create_session(&new_session("large")).await.unwrap();
     let before = (store.digest("s").await.unwrap(), store.digest("large").await.unwrap());
     let large = structured(43, Size { n_keyframes: 30, n_keypoints: 300, n_points: 1500 });
@@ -54,7 +54,7 @@ async fn what_goes_into_a_file_that_is_gone_is_not_called_saved() {
         let store = store_with_session(folder.path()).await;
         store.save_update("s", &first_update(&parts(44, SMALL)), TRACKED, &[]).await.unwrap();
         store.check_saving().unwrap();
-        std::fs::remove_file(format!("{}{lost}", store.path().display())).unwrap();
+        std::fs::remove_file(format!("{}{lost}", store.path().unwrap().display())).unwrap();
         let update = MapUpdate {
             map: map(&parts(44, SMALL)),
             changes: MapChanges::default(),
@@ -72,9 +72,9 @@ async fn saving_that_fails_is_told_until_it_succeeds() {
     let folder = tempfile::tempdir().unwrap();
     let store = store_with_session(folder.path()).await;
     store.close().await.unwrap();
-    let n_bytes = std::fs::metadata(store.path()).unwrap().len();
+    let n_bytes = std::fs::metadata(store.path().unwrap()).unwrap().len();
     let options = StoreOptions { max_bytes: Some(n_bytes), ..StoreOptions::default() };
-    let store = Store::open(store.path(), options).await.unwrap();
+    let store = Store::open(store.path().unwrap(), options).await.unwrap();
     store.check_saving().unwrap();
     store.save_update("s", &first_update(&bigger(45)), TRACKED, &[]).await.unwrap_err();
     let error = store.check_saving().unwrap_err().to_string();
@@ -114,7 +114,7 @@ async fn a_killed_process_leaves_the_map_of_its_last_commit() {
 
         // The copy is taken while everything is open, without folding in the log.
         let copy = folder.path().join(format!("copy{round}.db"));
-        copy_as_if_killed(store.path(), &copy);
+        copy_as_if_killed(store.path().unwrap(), &copy);
         let revived = Store::open(&copy, StoreOptions::default()).await.unwrap();
         assert_eq!(revived.check().await.unwrap(), []);
         assert_eq!(revived.get_session("s").await.unwrap().last_frame.unwrap().0, 21 + round);
@@ -138,12 +138,12 @@ async fn a_log_cut_anywhere_leaves_some_commit_complete() {
         store.save_update("s", &update, TRACKED, &[]).await.unwrap();
         digests.push(store.digest("s").await.unwrap());
     }
-    let log = std::fs::read(format!("{}-wal", store.path().display())).unwrap();
+    let log = std::fs::read(format!("{}-wal", store.path().unwrap().display())).unwrap();
     let copy = folder.path().join("copy.db");
     let mut seen = std::collections::BTreeSet::new();
     for part in 0..=24 {
         let _ = std::fs::remove_file(format!("{}-shm", copy.display()));
-        std::fs::copy(store.path(), &copy).unwrap();
+        std::fs::copy(store.path().unwrap(), &copy).unwrap();
         std::fs::write(format!("{}-wal", copy.display()), &log[..log.len() * part / 24]).unwrap();
         let revived = Store::open(&copy, StoreOptions::default()).await.unwrap();
         assert_eq!(revived.check().await.unwrap(), []);

@@ -2,10 +2,8 @@ use crate::world::*;
 use std::collections::BTreeMap;
 use store::SharedLandmarks;
 
-#[tokio::test]
-async fn a_snapshot_gives_the_whole_map_as_of_its_commit() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn a_snapshot_gives_the_whole_map_as_of_its_commit(home: Home) {
+    let store = home.store_with_session().await;
     let world = structured(91, Size { n_keyframes: 12, n_keypoints: 500, n_points: 1200 });
     store.save_update("s", &first_update(&world), TRACKED, &[]).await.unwrap();
     let mut snapshot = store.snapshot("s").await.unwrap();
@@ -38,10 +36,8 @@ async fn a_snapshot_gives_the_whole_map_as_of_its_commit() {
     assert_eq!(positions, expected);
 }
 
-#[tokio::test]
-async fn covisibility_counts_what_each_pair_of_key_frames_sees() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn covisibility_counts_what_each_pair_of_key_frames_sees(home: Home) {
+    let store = home.store_with_session().await;
     let world = structured(93, SMALL);
     store.save_update("s", &first_update(&world), TRACKED, &[]).await.unwrap();
     let found = store.snapshot("s").await.unwrap().covisibility().await.unwrap();
@@ -58,4 +54,9 @@ async fn covisibility_counts_what_each_pair_of_key_frames_sees() {
     }
     assert_eq!(found, expected);
     assert!(found.values().any(|shared| shared.n_lines > 0));
+}
+
+on_either_engine! {
+    a_snapshot_gives_the_whole_map_as_of_its_commit,
+    covisibility_counts_what_each_pair_of_key_frames_sees,
 }

@@ -47,10 +47,8 @@ fn remove_keyframe_3(parts: &mut MapParts) -> MapChanges {
     changes
 }
 
-#[tokio::test]
-async fn removed_lines_vanish_and_removed_key_frames_leave_lines_and_primitives_whole() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn removed_lines_vanish_and_removed_key_frames_leave_lines_and_primitives_whole(home: Home) {
+    let store = home.store_with_session().await;
     let mut world = structured(71, SMALL);
     store.save_update("s", &first_update(&world), TRACKED, &[]).await.unwrap();
 
@@ -69,10 +67,8 @@ async fn removed_lines_vanish_and_removed_key_frames_leave_lines_and_primitives_
     assert_eq!(store.check().await.unwrap(), []);
 }
 
-#[tokio::test]
-async fn only_lines_named_in_the_changes_are_written() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn only_lines_named_in_the_changes_are_written(home: Home) {
+    let store = home.store_with_session().await;
     let before = structured(72, SMALL);
     store.save_update("s", &first_update(&before), TRACKED, &[]).await.unwrap();
     let mut after = before.clone();
@@ -90,10 +86,8 @@ async fn only_lines_named_in_the_changes_are_written() {
     assert_eq!(store.check().await.unwrap(), []);
 }
 
-#[tokio::test]
-async fn a_line_that_went_before_it_was_stored_is_not_stored() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn a_line_that_went_before_it_was_stored_is_not_stored(home: Home) {
+    let store = home.store_with_session().await;
     let world = parts(73, SMALL);
     let changes = MapChanges {
         lines: [ln(1)].into(),
@@ -109,10 +103,8 @@ async fn a_line_that_went_before_it_was_stored_is_not_stored() {
     assert_eq!(store.check().await.unwrap(), []);
 }
 
-#[tokio::test]
-async fn a_deleted_session_takes_its_lines_and_primitives_along() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn a_deleted_session_takes_its_lines_and_primitives_along(home: Home) {
+    let store = home.store_with_session().await;
     store.create_session(&new_session("other")).await.unwrap();
     for id in ["s", "other"] {
         store.save_update(id, &first_update(&structured(74, SMALL)), TRACKED, &[]).await.unwrap();
@@ -121,22 +113,21 @@ async fn a_deleted_session_takes_its_lines_and_primitives_along() {
     store.delete_session("s").await.unwrap();
     assert_eq!(store.digest("other").await.unwrap(), kept);
     assert_eq!(store.check().await.unwrap(), []);
-    let connection = sqlx::SqlitePool::connect(store.path().to_str().unwrap()).await.unwrap();
-    for table in ["keyframe_vanishing", "lines", "primitives"] {
-        let sql = format!("SELECT count(*) FROM {table} WHERE session = 1");
-        let n: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_one(&connection).await.unwrap();
-        assert_eq!(n, 0, "{table}");
+    for rows in [
+        "SELECT count(*) FROM keyframe_vanishing WHERE session = 1",
+        "SELECT count(*) FROM lines WHERE session = 1",
+        "SELECT count(*) FROM primitives WHERE session = 1",
+        "SELECT count(*) FROM line_cells WHERE session_min <= 1",
+    ] {
+        assert_eq!(number(&home, rows).await, 0, "{rows}");
     }
-    let sql = "SELECT count(*) FROM line_cells WHERE session_min <= 1";
-    assert_eq!(sqlx::query_scalar::<_, i64>(sql).fetch_one(&connection).await.unwrap(), 0);
-    connection.close().await;
     let error = store.lines_page("s", &LineQuery::default(), None, 10).await.unwrap_err();
     assert!(matches!(error, StoreError::SessionNotFound { .. }));
 }
 
 /// A store with many lines of all lengths in its session, some of which have moved, beside another session.
-async fn world_of_lines(folder: &std::path::Path) -> (Store, MapParts) {
-    let store = store_with_session(folder).await;
+async fn world_of_lines(home: &Home) -> (Store, MapParts) {
+    let store = home.store_with_session().await;
     store.create_session(&new_session("other")).await.unwrap();
     store.save_update("other", &first_update(&structured(5, SMALL)), TRACKED, &[]).await.unwrap();
     let mut world = structured(75, Size { n_keyframes: 120, n_keypoints: 20, n_points: 50 });
@@ -211,10 +202,8 @@ async fn paged(store: &Store, query: &LineQuery, page_size: u32) -> Vec<LineLand
     }
 }
 
-#[tokio::test]
-async fn spatial_queries_find_the_lines_that_walking_along_each_finds() {
-    let folder = tempfile::tempdir().unwrap();
-    let (store, world) = world_of_lines(folder.path()).await;
+async fn spatial_queries_find_the_lines_that_walking_along_each_finds(home: Home) {
+    let (store, world) = world_of_lines(&home).await;
     let mut numbers = Numbers(77);
     let (mut n_found, mut n_unsure) = (0, 0);
     for round in 0..40 {
@@ -243,10 +232,8 @@ async fn spatial_queries_find_the_lines_that_walking_along_each_finds() {
     assert!(n_found > 400 && n_unsure < n_found / 10, "{n_found} found, {n_unsure} too close to say");
 }
 
-#[tokio::test]
-async fn a_query_without_conditions_gives_every_line_and_nonsense_none() {
-    let folder = tempfile::tempdir().unwrap();
-    let (store, world) = world_of_lines(folder.path()).await;
+async fn a_query_without_conditions_gives_every_line_and_nonsense_none(home: Home) {
+    let (store, world) = world_of_lines(&home).await;
     assert_eq!(paged(&store, &LineQuery::default(), 200).await, world.lines);
     assert_eq!(paged(&store, &LineQuery::default(), 500).await, world.lines);
     let everywhere = Bounds { min: Vector3::repeat(f64::NEG_INFINITY), max: Vector3::repeat(f64::INFINITY) };
@@ -265,4 +252,13 @@ async fn a_query_without_conditions_gives_every_line_and_nonsense_none() {
     ] {
         assert_eq!(paged(&store, &query, 10).await, [], "{query:?}");
     }
+}
+
+on_either_engine! {
+    removed_lines_vanish_and_removed_key_frames_leave_lines_and_primitives_whole,
+    only_lines_named_in_the_changes_are_written,
+    a_line_that_went_before_it_was_stored_is_not_stored,
+    a_deleted_session_takes_its_lines_and_primitives_along,
+    spatial_queries_find_the_lines_that_walking_along_each_finds,
+    a_query_without_conditions_gives_every_line_and_nonsense_none,
 }

@@ -2,10 +2,8 @@ use crate::world::*;
 use slam::MapUpdate;
 use slam::map::{MapChanges, SubmapId};
 
-#[tokio::test]
-async fn primitives_come_alone_and_in_pages_with_their_lines_counted() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn primitives_come_alone_and_in_pages_with_their_lines_counted(home: Home) {
+    let store = home.store_with_session().await;
     let mut world = structured(81, SMALL);
     world.primitives[1].submap = SubmapId(5);
     store.save_update("s", &first_update(&world), TRACKED, &[]).await.unwrap();
@@ -25,10 +23,8 @@ async fn primitives_come_alone_and_in_pages_with_their_lines_counted() {
     assert_eq!(store.primitive("s", pr(9)).await.unwrap(), None);
 }
 
-#[tokio::test]
-async fn joined_and_removed_primitives_are_stored_as_the_map_has_them() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn joined_and_removed_primitives_are_stored_as_the_map_has_them(home: Home) {
+    let store = home.store_with_session().await;
     let mut world = structured(82, SMALL);
     store.save_update("s", &first_update(&world), TRACKED, &[]).await.unwrap();
 
@@ -67,4 +63,9 @@ async fn joined_and_removed_primitives_are_stored_as_the_map_has_them() {
     assert_eq!(store.save_update("s", &update, TRACKED, &[]).await.unwrap().counts.n_primitives, 3);
     assert_same_parts(&load(&store).await, &world);
     assert_eq!(store.check().await.unwrap(), []);
+}
+
+on_either_engine! {
+    primitives_come_alone_and_in_pages_with_their_lines_counted,
+    joined_and_removed_primitives_are_stored_as_the_map_has_them,
 }

@@ -9,8 +9,8 @@ const LARGE: Size = Size { n_keyframes: 30, n_keypoints: 300, n_points: 1500 };
 
 /// A store whose points have moved after they were first saved, some little and some far, beside another
 /// session.
-async fn moved_world(folder: &std::path::Path) -> (Store, MapParts) {
-    let store = store_with_session(folder).await;
+async fn moved_world(home: &Home) -> (Store, MapParts) {
+    let store = home.store_with_session().await;
     store.create_session(&new_session("other")).await.unwrap();
     store.save_update("other", &first_update(&parts(5, SMALL)), TRACKED, &[]).await.unwrap();
     let mut world = parts(21, LARGE);
@@ -71,10 +71,8 @@ async fn paged(store: &Store, query: &PointQuery, page_size: u32) -> Vec<PointLa
     }
 }
 
-#[tokio::test]
-async fn spatial_queries_find_what_looking_at_every_point_finds() {
-    let folder = tempfile::tempdir().unwrap();
-    let (store, world) = moved_world(folder.path()).await;
+async fn spatial_queries_find_what_looking_at_every_point_finds(home: Home) {
+    let (store, world) = moved_world(&home).await;
     let mut numbers = Numbers(23);
     let mut n_found = 0;
     for round in 0..40 {
@@ -94,19 +92,15 @@ async fn spatial_queries_find_what_looking_at_every_point_finds() {
     assert!(n_found > 1000, "the queries found only {n_found} points");
 }
 
-#[tokio::test]
-async fn a_query_without_conditions_gives_every_point() {
-    let folder = tempfile::tempdir().unwrap();
-    let (store, world) = moved_world(folder.path()).await;
+async fn a_query_without_conditions_gives_every_point(home: Home) {
+    let (store, world) = moved_world(&home).await;
     assert_eq!(streamed(&store, PointQuery::default()).await, world.points);
     assert_eq!(paged(&store, &PointQuery::default(), 700).await, world.points);
     assert_eq!(paged(&store, &PointQuery::default(), 1500).await, world.points);
 }
 
-#[tokio::test]
-async fn points_on_the_faces_of_a_box_are_in_it_and_nonsense_finds_nothing() {
-    let folder = tempfile::tempdir().unwrap();
-    let (store, world) = moved_world(folder.path()).await;
+async fn points_on_the_faces_of_a_box_are_in_it_and_nonsense_finds_nothing(home: Home) {
+    let (store, world) = moved_world(&home).await;
     let place = world.points[17].position;
     let exact = PointQuery { bounds: Some(Bounds { min: place, max: place }), ..PointQuery::default() };
     assert_eq!(streamed(&store, exact).await, [world.points[17].clone()]);
@@ -131,10 +125,8 @@ async fn points_on_the_faces_of_a_box_are_in_it_and_nonsense_finds_nothing() {
     assert_eq!(streamed(&store, query).await, world.points);
 }
 
-#[tokio::test]
-async fn key_frames_come_in_pages_and_alone() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn key_frames_come_in_pages_and_alone(home: Home) {
+    let store = home.store_with_session().await;
     let world = parts(24, SMALL);
     let image = KeyframeImage { keyframe: kf(2), media_type: "image/jpeg".into(), bytes: vec![9; 30_000] };
     let unknown = KeyframeImage { keyframe: kf(77), ..image.clone() };
@@ -158,4 +150,11 @@ async fn key_frames_come_in_pages_and_alone() {
     assert_eq!((stored.media_type, stored.bytes), (image.media_type, image.bytes));
     assert_eq!(store.keyframe_image("s", kf(1)).await.unwrap(), None);
     assert_eq!(store.keyframe("s", kf(77)).await.unwrap(), None);
+}
+
+on_either_engine! {
+    spatial_queries_find_what_looking_at_every_point_finds,
+    a_query_without_conditions_gives_every_point,
+    points_on_the_faces_of_a_box_are_in_it_and_nonsense_finds_nothing,
+    key_frames_come_in_pages_and_alone,
 }

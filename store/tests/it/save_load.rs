@@ -5,12 +5,10 @@ use slam::config::SlamConfig;
 use slam::map::{FrameState, LastIds, MapChanges, MapParts, RemovedKeyframe, SubmapId};
 use slam::{Keyframe, Map, MapUpdate, NoClock, Pipeline};
 use std::sync::Arc;
-use store::{KeyframeImage, SessionCounts, Store, StoreError, StoreOptions};
+use store::{KeyframeImage, SessionCounts, StoreError};
 
-#[tokio::test]
-async fn a_saved_map_comes_back_bit_for_bit() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn a_saved_map_comes_back_bit_for_bit(home: Home) {
+    let store = home.store_with_session().await;
     let mut saved = structured(11, SMALL);
     saved.points[3].distance_range.1 = f64::INFINITY;
     saved.last_ids = LastIds { point: 1000, line: 2000, primitive: 3000, ..saved.last_ids };
@@ -27,7 +25,7 @@ async fn a_saved_map_comes_back_bit_for_bit() {
 
     // Opened again, so that nothing comes from memory.
     store.close().await.unwrap();
-    let store = Store::open(store.path(), StoreOptions::default()).await.unwrap();
+    let store = home.open().await;
     let loaded = store.load_session("s", &SlamConfig::default()).await.unwrap();
     assert_eq!(loaded.record.counts, counts);
     assert_eq!(loaded.record.state, FrameState::Tracked);
@@ -43,10 +41,8 @@ async fn a_saved_map_comes_back_bit_for_bit() {
     assert_same_parts(&resumed.to_parts(), &saved);
 }
 
-#[tokio::test]
-async fn a_camera_that_was_put_right_comes_back() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn a_camera_that_was_put_right_comes_back(home: Home) {
+    let store = home.store_with_session().await;
     let correction =
         CameraCorrection { focal: -0.013, center_x: 0.002, center_y: 0.1 + 0.2, k1: -0.03, k2: 0.001 };
     let saved = MapParts { correction, ..parts(12, SMALL) };
@@ -59,7 +55,7 @@ async fn a_camera_that_was_put_right_comes_back() {
     let update = MapUpdate { map: update.map, changes, frames: vec![] };
     store.save_update("s", &update, TRACKED, &[]).await.unwrap();
     store.close().await.unwrap();
-    let store = Store::open(store.path(), StoreOptions::default()).await.unwrap();
+    let store = home.open().await;
     let loaded = store.load_session("s", &SlamConfig::default()).await.unwrap();
     let given = loaded.record.checked_camera().unwrap();
     let refined = loaded.record.refined_camera().unwrap();
@@ -76,10 +72,8 @@ async fn a_camera_that_was_put_right_comes_back() {
     assert!(Map::from_parts(MapParts { correction: broken, ..parts(12, SMALL) }).is_err());
 }
 
-#[tokio::test]
-async fn a_session_without_a_map_comes_back_empty() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn a_session_without_a_map_comes_back_empty(home: Home) {
+    let store = home.store_with_session().await;
     let loaded = store.load_session("s", &SlamConfig::default()).await.unwrap();
     assert_eq!((loaded.resume.map.keyframes.len(), loaded.resume.last_frame), (0, None));
     let frames = vec![lost_frame(0), lost_frame(4)];
@@ -89,10 +83,8 @@ async fn a_session_without_a_map_comes_back_empty() {
     assert_eq!(loaded.resume.last_frame, Some((4, 200_000_000)));
 }
 
-#[tokio::test]
-async fn only_rows_named_in_the_changes_are_written() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn only_rows_named_in_the_changes_are_written(home: Home) {
+    let store = home.store_with_session().await;
     let before = parts(12, SMALL);
     store.save_update("s", &first_update(&before), TRACKED, &[]).await.unwrap();
 
@@ -143,10 +135,8 @@ fn removal(before: &slam::map::MapParts) -> (slam::map::MapParts, MapChanges) {
     (after, changes)
 }
 
-#[tokio::test]
-async fn removed_key_frames_and_points_vanish() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn removed_key_frames_and_points_vanish(home: Home) {
+    let store = home.store_with_session().await;
     let before = parts(13, SMALL);
     let image = KeyframeImage { keyframe: kf(3), media_type: "image/png".into(), bytes: vec![1, 2, 3] };
     store.save_update("s", &first_update(&before), TRACKED, &[image]).await.unwrap();
@@ -162,10 +152,8 @@ async fn removed_key_frames_and_points_vanish() {
     assert_eq!(store.check().await.unwrap(), []);
 }
 
-#[tokio::test]
-async fn a_dropped_submap_takes_along_what_hung_on_it() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn a_dropped_submap_takes_along_what_hung_on_it(home: Home) {
+    let store = home.store_with_session().await;
     let before = parts(14, SMALL);
     store.save_update("s", &first_update(&before), TRACKED, &[]).await.unwrap();
     let (removed, changes) = removal(&before);
@@ -191,10 +179,8 @@ async fn a_dropped_submap_takes_along_what_hung_on_it() {
     assert_eq!(store.check().await.unwrap(), []);
 }
 
-#[tokio::test]
-async fn joined_updates_store_what_single_ones_do() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn joined_updates_store_what_single_ones_do(home: Home) {
+    let store = home.store_with_session().await;
     store.create_session(&new_session("joined")).await.unwrap();
     let first = parts(15, SMALL);
     let (second, second_changes) = removal(&first);
@@ -245,10 +231,8 @@ async fn joined_updates_store_what_single_ones_do() {
     assert_eq!(store.check().await.unwrap(), []);
 }
 
-#[tokio::test]
-async fn equal_updates_give_equal_digests_and_any_difference_shows() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn equal_updates_give_equal_digests_and_any_difference_shows(home: Home) {
+    let store = home.store_with_session().await;
     let mut digests = Vec::new();
     for (id, time) in [("a", 1), ("b", 2), ("c", 3)] {
         let new = store::NewSession { created_at_ns: time, ..new_session(id) };
@@ -270,10 +254,8 @@ async fn equal_updates_give_equal_digests_and_any_difference_shows() {
     assert_eq!(differing, ["points", "keyframe_vanishing", "lines", "primitives"]);
 }
 
-#[tokio::test]
-async fn a_map_is_not_taken_up_with_other_settings() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn a_map_is_not_taken_up_with_other_settings(home: Home) {
+    let store = home.store_with_session().await;
     store.save_update("s", &first_update(&parts(17, SMALL)), TRACKED, &[]).await.unwrap();
     let narrow = SlamConfig { working_width_px: 320, ..SlamConfig::default() };
     let error = store.load_session("s", &narrow).await.unwrap_err();
@@ -283,10 +265,8 @@ async fn a_map_is_not_taken_up_with_other_settings() {
     assert!(matches!(store.load_session("s", &levels).await, Err(StoreError::OtherSettings(_))));
 }
 
-#[tokio::test]
-async fn updates_that_cannot_be_stored_leave_no_trace() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn updates_that_cannot_be_stored_leave_no_trace(home: Home) {
+    let store = home.store_with_session().await;
     let good = parts(18, SMALL);
     store.save_update("s", &first_update(&good), TRACKED, &[]).await.unwrap();
     let before = store.digest("s").await.unwrap();
@@ -310,4 +290,17 @@ async fn updates_that_cannot_be_stored_leave_no_trace() {
     assert_eq!(store.digest("s").await.unwrap(), before);
     store.save_update("s", &update(vec![frame(30, kf(1))]), TRACKED, &[]).await.unwrap();
     assert_ne!(store.digest("s").await.unwrap(), before);
+}
+
+on_either_engine! {
+    a_saved_map_comes_back_bit_for_bit,
+    a_camera_that_was_put_right_comes_back,
+    a_session_without_a_map_comes_back_empty,
+    only_rows_named_in_the_changes_are_written,
+    removed_key_frames_and_points_vanish,
+    a_dropped_submap_takes_along_what_hung_on_it,
+    joined_updates_store_what_single_ones_do,
+    equal_updates_give_equal_digests_and_any_difference_shows,
+    a_map_is_not_taken_up_with_other_settings,
+    updates_that_cannot_be_stored_leave_no_trace,
 }

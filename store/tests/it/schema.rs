@@ -56,7 +56,7 @@ async fn write_a_database_of_this_release() {
     store.save_update("s", &first_update(&structured(51, SMALL)), TRACKED, &[]).await.unwrap();
     store.close().await.unwrap();
     let name = format!("tests/fixtures/schema-{}.sqlite", Store::schema_version());
-    std::fs::copy(store.path(), Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap();
+    std::fs::copy(store.path().unwrap(), Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap();
 }
 
 #[tokio::test]
@@ -64,7 +64,7 @@ async fn a_newer_schema_is_refused_and_left_alone() {
     let folder = tempfile::tempdir().unwrap();
     let store = store_with_session(folder.path()).await;
     store.close().await.unwrap();
-    let connection = SqlitePool::connect(store.path().to_str().unwrap()).await.unwrap();
+    let connection = SqlitePool::connect(store.path().unwrap().to_str().unwrap()).await.unwrap();
     sqlx::query(
         "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time)
          VALUES (9000, 'from the future', 1, x'00', 0)",
@@ -73,16 +73,16 @@ async fn a_newer_schema_is_refused_and_left_alone() {
     .await
     .unwrap();
     connection.close().await;
-    let before = std::fs::read(store.path()).unwrap();
+    let before = std::fs::read(store.path().unwrap()).unwrap();
 
-    let error = Store::open(store.path(), StoreOptions::default()).await.unwrap_err();
+    let error = Store::open(store.path().unwrap(), StoreOptions::default()).await.unwrap_err();
     let supported = Store::schema_version();
     assert!(
         matches!(error, StoreError::NewerSchema { found: 9000, supported: s } if s == supported),
         "{error:?}"
     );
     assert!(error.to_string().contains("9000"));
-    assert_eq!(std::fs::read(store.path()).unwrap(), before);
+    assert_eq!(std::fs::read(store.path().unwrap()).unwrap(), before);
 }
 
 #[tokio::test]

@@ -13,15 +13,13 @@ async fn what_was_deleted_is_given_back_when_the_file_is_compacted() {
     }
     let [before, after] = store.compact().await.unwrap();
     assert!(after < before, "{before} bytes before, {after} after");
-    assert_eq!(std::fs::metadata(store.path()).unwrap().len(), after);
+    assert_eq!(std::fs::metadata(store.path().unwrap()).unwrap().len(), after);
     assert!(store.check().await.unwrap().is_empty());
     assert_eq!(store.get_session("session-299").await.unwrap().id, "session-299");
 }
 
-#[tokio::test]
-async fn a_session_is_made_found_changed_and_deleted() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = Store::open(folder.path().join("maps.db"), StoreOptions::default()).await.unwrap();
+async fn a_session_is_made_found_changed_and_deleted(home: Home) {
+    let store = home.open().await;
     let made = store.create_session(&new_session("kitchen")).await.unwrap();
     assert_eq!((made.id.as_str(), &made.camera), ("kitchen", &camera()));
     assert_eq!((made.last_frame, made.metres_per_unit, made.counts), (None, None, SessionCounts::default()));
@@ -54,10 +52,8 @@ async fn a_session_is_made_found_changed_and_deleted() {
     }
 }
 
-#[tokio::test]
-async fn sessions_are_listed_by_name_in_pages() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = Store::open(folder.path().join("maps.db"), StoreOptions::default()).await.unwrap();
+async fn sessions_are_listed_by_name_in_pages(home: Home) {
+    let store = home.open().await;
     for id in ["c", "a", "e", "b", "d"] {
         store.create_session(&new_session(id)).await.unwrap();
     }
@@ -76,10 +72,8 @@ async fn sessions_are_listed_by_name_in_pages() {
     assert_eq!(store.list_sessions(None, 5).await.unwrap().next, None);
 }
 
-#[tokio::test]
-async fn deleting_one_session_leaves_the_others() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn deleting_one_session_leaves_the_others(home: Home) {
+    let store = home.store_with_session().await;
     store.create_session(&new_session("other")).await.unwrap();
     let (mine, other) = (parts(1, SMALL), parts(2, SMALL));
     store.save_update("s", &first_update(&mine), TRACKED, &[]).await.unwrap();
@@ -97,43 +91,46 @@ async fn deleting_one_session_leaves_the_others() {
     );
 }
 
-#[tokio::test]
-async fn a_session_of_more_rows_than_go_at_once_is_deleted() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn a_session_of_more_rows_than_go_at_once_is_deleted(home: Home) {
+    let store = home.store_with_session().await;
     let large = Size { n_keyframes: 100, n_keypoints: 1200, n_points: 30_000 };
     store.save_update("s", &first_update(&parts(1, large)), TRACKED, &[]).await.unwrap();
     store.delete_session("s").await.unwrap();
     assert_eq!(store.check().await.unwrap(), []);
     store.close().await.unwrap();
-    let path = folder.path().join("maps.db");
-    let connection = sqlx::SqlitePool::connect(path.to_str().unwrap()).await.unwrap();
-    for table in ["points", "point_cells", "line_cells"] {
-        let count = sqlx::AssertSqlSafe(format!("SELECT count(*) FROM {table}"));
-        let n_rows: i64 = sqlx::query_scalar(count).fetch_one(&connection).await.unwrap();
-        assert_eq!(n_rows, 0, "{table}");
+    for rows in
+        ["SELECT count(*) FROM points", "SELECT count(*) FROM point_cells", "SELECT count(*) FROM line_cells"]
+    {
+        assert_eq!(number(&home, rows).await, 0, "{rows}");
     }
 }
 
-#[tokio::test]
-async fn an_interrupted_deletion_is_finished_when_the_database_is_opened() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("maps.db");
-    let store = store_with_session(folder.path()).await;
+async fn an_interrupted_deletion_is_finished_when_the_database_is_opened(home: Home) {
+    let store = home.store_with_session().await;
     store.save_update("s", &first_update(&parts(1, SMALL)), TRACKED, &[]).await.unwrap();
     store.close().await.unwrap();
     // What delete_session has done before it begins to clear away rows.
-    let connection = sqlx::SqlitePool::connect(path.to_str().unwrap()).await.unwrap();
-    sqlx::query("UPDATE sessions SET id = NULL").execute(&connection).await.unwrap();
-    connection.close().await;
+    assert_eq!(number(&home, "UPDATE sessions SET id = NULL RETURNING number").await, 1);
 
-    let store = Store::open(&path, StoreOptions::default()).await.unwrap();
+    let store = home.open().await;
     assert_eq!(store.list_sessions(None, 10).await.unwrap().items, []);
     store.close().await.unwrap();
-    let connection = sqlx::SqlitePool::connect(path.to_str().unwrap()).await.unwrap();
-    for table in ["sessions", "keyframes", "keyframe_features", "points", "point_cells", "frames"] {
-        let count = sqlx::AssertSqlSafe(format!("SELECT count(*) FROM {table}"));
-        let n_rows: i64 = sqlx::query_scalar(count).fetch_one(&connection).await.unwrap();
-        assert_eq!(n_rows, 0, "{table}");
+    for rows in [
+        "SELECT count(*) FROM sessions",
+        "SELECT count(*) FROM keyframes",
+        "SELECT count(*) FROM keyframe_features",
+        "SELECT count(*) FROM points",
+        "SELECT count(*) FROM point_cells",
+        "SELECT count(*) FROM frames",
+    ] {
+        assert_eq!(number(&home, rows).await, 0, "{rows}");
     }
+}
+
+on_either_engine! {
+    a_session_is_made_found_changed_and_deleted,
+    sessions_are_listed_by_name_in_pages,
+    deleting_one_session_leaves_the_others,
+    a_session_of_more_rows_than_go_at_once_is_deleted,
+    an_interrupted_deletion_is_finished_when_the_database_is_opened,
 }

@@ -1,5 +1,5 @@
 use crate::world::*;
-use store::{KeyframeImage, NewToken, Store, StoreError, StoreOptions, TokenQuotas, TokenRole};
+use store::{KeyframeImage, NewToken, StoreError, TokenQuotas, TokenRole};
 
 fn token(name: &str, role: TokenRole, owner: Option<&str>) -> NewToken {
     let mut hash = [0; store::TOKEN_HASH_BYTES];
@@ -9,16 +9,13 @@ fn token(name: &str, role: TokenRole, owner: Option<&str>) -> NewToken {
     NewToken { name, hash, role, owner, created_at_ns: 5, expires_at_ns: Some(9), quotas }
 }
 
-#[tokio::test]
-async fn tokens_come_back_as_they_were_made_and_stay_when_revoked() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("maps.db");
-    let store = Store::open(&path, StoreOptions::default()).await.unwrap();
+async fn tokens_come_back_as_they_were_made_and_stay_when_revoked(home: Home) {
+    let store = home.open().await;
     let robot = token("robot", TokenRole::Writer, Some("lab"));
     let boss = token("boss", TokenRole::Admin, None);
     store.create_token(&robot).await.unwrap();
     // By another program, while the database is in use.
-    let beside = Store::open_beside(&path, StoreOptions::default()).await.unwrap();
+    let beside = home.open().await;
     beside.create_token(&boss).await.unwrap();
     let kept: Vec<_> = store.tokens().await.unwrap().into_iter().map(|kept| kept.token).collect();
     assert_eq!(kept, [robot.clone(), boss]);
@@ -31,10 +28,8 @@ async fn tokens_come_back_as_they_were_made_and_stay_when_revoked() {
     assert_eq!(unknown.to_string(), r#"there is no token "nobody""#);
 }
 
-#[tokio::test]
-async fn an_owners_sessions_are_listed_counted_and_measured_alone() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn an_owners_sessions_are_listed_counted_and_measured_alone(home: Home) {
+    let store = home.store_with_session().await;
     for id in ["a~x", "a~y", "ab~x", "a", "b~s"] {
         store.create_session(&new_session(id)).await.unwrap();
     }
@@ -50,4 +45,9 @@ async fn an_owners_sessions_are_listed_counted_and_measured_alone() {
     store.save_update("b~s", &update, TRACKED, &[image]).await.unwrap();
     assert!(store.stored_bytes_of("b~").await.unwrap() > 1000);
     assert_eq!(store.stored_bytes_of("a~").await.unwrap(), 0);
+}
+
+on_either_engine! {
+    tokens_come_back_as_they_were_made_and_stay_when_revoked,
+    an_owners_sessions_are_listed_counted_and_measured_alone,
 }

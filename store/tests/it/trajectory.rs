@@ -35,10 +35,8 @@ fn changes_of(world: &MapParts) -> MapChanges {
     MapChanges { removed_keyframes, ..all_new(world) }
 }
 
-#[tokio::test]
-async fn frames_keep_their_place_through_removed_key_frames() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn frames_keep_their_place_through_removed_key_frames(home: Home) {
+    let store = home.store_with_session().await;
     let mut world = with_removed_keyframes(31);
     let references: [u64; 5] = [1, 4, 3, 2, 4];
     let mut frames: Vec<FrameRecord> =
@@ -78,10 +76,8 @@ async fn frames_keep_their_place_through_removed_key_frames() {
     assert_eq!(store.frame("s", 8).await.unwrap(), None);
 }
 
-#[tokio::test]
-async fn key_frames_make_a_trajectory_of_their_own() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn key_frames_make_a_trajectory_of_their_own(home: Home) {
+    let store = home.store_with_session().await;
     let world = with_removed_keyframes(32);
     let update = MapUpdate { map: map(&world), changes: changes_of(&world), frames: vec![frame(100, kf(1))] };
     store.save_update("s", &update, TRACKED, &[]).await.unwrap();
@@ -94,10 +90,8 @@ async fn key_frames_make_a_trajectory_of_their_own() {
     }
 }
 
-#[tokio::test]
-async fn a_trajectory_can_be_cut_by_time_and_submap() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn a_trajectory_can_be_cut_by_time_and_submap(home: Home) {
+    let store = home.store_with_session().await;
     let mut frames: Vec<_> = (1..=1500).map(|sequence| frame(sequence, kf(1 + sequence % 6))).collect();
     frames.iter_mut().skip(1000).for_each(|frame| frame.pose.as_mut().unwrap().submap = SubmapId(1));
     let world = parts(33, SMALL);
@@ -123,10 +117,8 @@ async fn a_trajectory_can_be_cut_by_time_and_submap() {
     assert_eq!(sequences(part), (40..=1100).collect::<Vec<_>>());
 }
 
-#[tokio::test]
-async fn frames_of_a_dropped_submap_are_left_out_and_later_frames_do_not_appear() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn frames_of_a_dropped_submap_are_left_out_and_later_frames_do_not_appear(home: Home) {
+    let store = home.store_with_session().await;
     let world = parts(34, SMALL);
     let frames = vec![frame(1, kf(1)), frame(2, kf(40)), frame(3, kf(2))];
     let update = MapUpdate { map: map(&world), changes: all_new(&world), frames };
@@ -144,4 +136,11 @@ async fn frames_of_a_dropped_submap_are_left_out_and_later_frames_do_not_appear(
     let missing: Result<_, StoreError> =
         store.trajectory("x", TrajectoryKind::Frames, TrajectoryFilter::default()).await.map(drop);
     assert!(matches!(missing, Err(StoreError::SessionNotFound { .. })));
+}
+
+on_either_engine! {
+    frames_keep_their_place_through_removed_key_frames,
+    key_frames_make_a_trajectory_of_their_own,
+    a_trajectory_can_be_cut_by_time_and_submap,
+    frames_of_a_dropped_submap_are_left_out_and_later_frames_do_not_appear,
 }

@@ -12,10 +12,8 @@ async fn all_frames(store: &Store) -> Vec<FrameEntry> {
     store.frames("s").await.unwrap().try_collect().await.unwrap()
 }
 
-#[tokio::test]
-async fn frames_are_told_with_the_keyframe_that_moves_them() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn frames_are_told_with_the_keyframe_that_moves_them(home: Home) {
+    let store = home.store_with_session().await;
     let mut world = parts(31, SMALL);
     // Keyframe 6, the last of the chain, was removed and hangs on 5.
     let pose = |id: usize| world.keyframes[id - 1].camera_from_world;
@@ -57,10 +55,8 @@ async fn frames_are_told_with_the_keyframe_that_moves_them() {
     assert!(matches!(store.frames("nobody").await, Err(StoreError::SessionNotFound { .. })));
 }
 
-#[tokio::test]
-async fn chosen_landmarks_are_read_and_others_are_not() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn chosen_landmarks_are_read_and_others_are_not(home: Home) {
+    let store = home.store_with_session().await;
     let world = structured(7, SMALL);
     store.save_update("s", &first_update(&world), TRACKED, &[]).await.unwrap();
     let wanted: BTreeSet<_> = [pt(3), pt(17), pt(999_999)].into();
@@ -72,10 +68,8 @@ async fn chosen_landmarks_are_read_and_others_are_not() {
     assert!(none.is_empty());
 }
 
-#[tokio::test]
-async fn a_keyframe_tells_what_it_measured_and_what_sees_it() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = store_with_session(folder.path()).await;
+async fn a_keyframe_tells_what_it_measured_and_what_sees_it(home: Home) {
+    let store = home.store_with_session().await;
     let world = structured(7, SMALL);
     let image = |id| KeyframeImage { keyframe: kf(id), media_type: "image/png".into(), bytes: vec![1] };
     assert_eq!(store.newest_image("s").await.unwrap(), None);
@@ -94,4 +88,10 @@ async fn a_keyframe_tells_what_it_measured_and_what_sees_it() {
     assert!(measured.points.iter().any(Option::is_some) && measured.lines.iter().any(Option::is_some));
     assert!(measured.vanishing.iter().any(|seen| seen.primitive.is_some()));
     assert!(store.measured_keyframe("s", kf(77)).await.unwrap().is_none());
+}
+
+on_either_engine! {
+    frames_are_told_with_the_keyframe_that_moves_them,
+    chosen_landmarks_are_read_and_others_are_not,
+    a_keyframe_tells_what_it_measured_and_what_sees_it,
 }

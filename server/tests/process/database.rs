@@ -1,0 +1,146 @@
+//! A server on PostgreSQL: killed, and with its database stopped under it. Nothing that was acknowledged is
+//! lost.
+
+use crate::crash::stream;
+use crate::program::ServerProcess;
+use proto::v1;
+use proto::v1::stream_frames_request::Message as Request;
+use proto::v1::stream_frames_response::Message as Response;
+use std::time::{Duration, Instant};
+use store::{Store, StoreOptions};
+use testkit::postgres::{Cluster, shared_database};
+use tests::{FrameStream, SmallWorld, camera, create_session, open_message, raw_gray};
+
+/// Frames in all, and frames after which the server is killed.
+const N_FRAMES: usize = 120;
+const KILLED_AFTER: [usize; 2] = [30, 80];
+
+/// Starts a server on a database.
+pub fn server_on(url: &str, folder: &std::path::Path) -> ServerProcess {
+    ServerProcess::start_with(folder, |command| {
+        command.env("MONOSLAM_STORAGE__URL", url).env("MONOSLAM_STORAGE__CONNECT_TIMEOUT_S", "1");
+    })
+}
+
+/// What is wrong with a database; nothing should be.
+async fn assert_sound(url: &str) {
+    let store = Store::connect(url, StoreOptions::default()).await.unwrap();
+    assert_eq!(store.check().await.unwrap(), []);
+    store.close().await.unwrap();
+}
+
+mod postgres {
+    use super::*;
+
+    #[tokio::test(flavor = "multi_thread")]
+    #[ignore = "needs PostgreSQL"]
+    async fn a_killed_server_goes_on_in_the_same_map() {
+        let (url, folder) = (shared_database(), tempfile::tempdir().unwrap());
+        let world = SmallWorld::new(1);
+        let mut promised = None;
+        for (kill, n_frames) in KILLED_AFTER.into_iter().enumerate() {
+            let server = server_on(&url, folder.path());
+            let mut client = server.client().await;
+            if kill == 0 {
+                create_session(&mut client, "room", world.camera()).await.unwrap();
+            }
+            let mut frames = FrameStream::open(&mut client, open_message("room")).await.unwrap();
+            assert!(frames.opened.durable_sequence >= promised, "{promised:?} was promised");
+            let next = frames.opened.next_sequence as usize;
+            let answers = stream(&mut frames, &world, next, n_frames - next).await;
+            promised = answers.last().and_then(|answer| answer.durable_sequence).max(promised);
+            server.kill();
+            assert_sound(&url).await;
+        }
+        assert!(promised.is_some(), "nothing was promised");
+        let server = server_on(&url, folder.path());
+        let mut client = server.client().await;
+        let mut frames = FrameStream::open(&mut client, open_message("room")).await.unwrap();
+        assert!(frames.opened.durable_sequence >= promised);
+        assert!(frames.opened.n_keyframes >= 2, "there was a map before: {:?}", frames.opened);
+        let next = frames.opened.next_sequence as usize;
+        let answers = stream(&mut frames, &world, next, N_FRAMES - next).await;
+        frames.finish().await.unwrap();
+        let is_tracked = |answer: &&v1::FrameResult| answer.state() == v1::TrackingState::Tracked;
+        let n_tracked = answers.iter().filter(is_tracked).count();
+        assert!(n_tracked > answers.len() / 2, "{n_tracked} of {} frames are tracked", answers.len());
+        let csv = tests::get(server.http_addr, "/v1/sessions/room/trajectory?format=csv").await.unwrap();
+        assert!(
+            csv.lines().skip(1).all(|line| line.split(',').nth(3) == Some("0")),
+            "there are several submaps"
+        );
+        assert!(server.terminate(), "the server ends well when asked to");
+        assert_sound(&url).await;
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    #[ignore = "needs PostgreSQL"]
+    async fn a_database_that_stops_and_starts_under_a_stream_loses_nothing() {
+        let (mut cluster, folder) = (Cluster::start(), tempfile::tempdir().unwrap());
+        let server = server_on(&cluster.url(), folder.path());
+        let mut client = server.client().await;
+        create_session(&mut client, "s", camera(160, 120)).await.unwrap();
+        let image = raw_gray(160, 120, &[100; 160 * 120]);
+        let mut frames = FrameStream::open(&mut client, open_message("s")).await.unwrap();
+        let mut sequence = 0;
+        let mut next = async |frames: &mut FrameStream| {
+            frames.send(Request::Frame(tests::frame(sequence, image.clone()))).await;
+            sequence += 1;
+            match frames.next().await {
+                Ok(Some(Response::Result(result))) => Ok(result),
+                Ok(other) => panic!("unexpected answer {other:?}"),
+                Err(status) => Err(status),
+            }
+        };
+        let mut promised = None;
+        let begun = Instant::now();
+        while promised < Some(5) {
+            promised = next(&mut frames).await.unwrap().durable_sequence;
+            assert!(begun.elapsed() < Duration::from_secs(30), "nothing is saved");
+        }
+        cluster.stop();
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        // Tracking goes on, and what was saved stays what it is.
+        let first = next(&mut frames).await.expect("tracking goes on").durable_sequence;
+        let mut status = None;
+        for _ in 0..20 {
+            match next(&mut frames).await {
+                Ok(result) => assert_eq!(result.durable_sequence, first),
+                Err(refused) => {
+                    status = Some(refused);
+                    break;
+                }
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        let ready = tests::get(server.http_addr, "/readyz").await;
+        eprintln!("while the database is away: {status:?}, readyz {ready:?}");
+        cluster.start_again();
+        let begun = Instant::now();
+        let (opened, mut frames) = loop {
+            match FrameStream::open(&mut client, v1::OpenStream { take_over: true, ..open_message("s") })
+                .await
+            {
+                Ok(frames) => break (frames.opened.clone(), frames),
+                Err(status) => assert!(begun.elapsed() < Duration::from_secs(30), "{status}"),
+            }
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        };
+        assert!(
+            opened.durable_sequence >= first,
+            "{first:?} was promised, {:?} is there",
+            opened.durable_sequence
+        );
+        sequence = opened.next_sequence;
+        let image = raw_gray(160, 120, &[100; 160 * 120]);
+        frames.send(Request::Frame(tests::frame(sequence, image))).await;
+        assert!(matches!(frames.next().await, Ok(Some(Response::Result(_)))));
+        frames.finish().await.unwrap();
+        let request = v1::GetSessionRequest { session_id: "s".into() };
+        let session = client.get_session(request).await.unwrap().into_inner();
+        assert_eq!(session.durable_sequence, Some(sequence));
+        assert_eq!(session.n_frames, sequence + 1, "a frame is missing");
+        assert!(server.terminate());
+        assert_sound(&cluster.url()).await;
+    }
+}
