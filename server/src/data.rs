@@ -12,6 +12,9 @@ pub const DATABASE_FILE: &str = "monoslam.sqlite";
 /// Locked in the data folder by the server that uses it.
 const LOCK_FILE: &str = "monoslam.lock";
 
+/// What the server of the folder is called among others.
+const NAME_FILE: &str = "monoslam.name";
+
 /// The database file of a configuration, where it names no other database.
 pub fn database_of(config: &Config) -> PathBuf {
     config.data_dir.join(DATABASE_FILE)
@@ -60,6 +63,25 @@ impl DataLock {
         }
         Ok(())
     }
+}
+
+/// What the server of a data folder is called among others on one database: the same at each start, so that
+/// it takes up at once what it had when it was killed. To be asked by who holds the folder's lock.
+///
+/// # Errors
+/// If the folder cannot be read or written.
+pub fn server_name(folder: &Path) -> anyhow::Result<String> {
+    let path = folder.join(NAME_FILE);
+    if let Ok(name) = std::fs::read_to_string(&path)
+        && !name.trim().is_empty()
+    {
+        return Ok(name.trim().to_owned());
+    }
+    let machine =
+        hostname::get().map_or_else(|_| "server".into(), |name| name.to_string_lossy().into_owned());
+    let name = format!("{machine}-{:032x}", rand::random::<u128>());
+    std::fs::write(&path, &name).with_context(|| format!("cannot write the file {}", path.display()))?;
+    Ok(name)
 }
 
 /// Gives a file that was made by hand, as by the administrator, to whom its folder belongs, so that the

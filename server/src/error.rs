@@ -2,7 +2,7 @@
 
 use axum::http::StatusCode;
 use std::time::Duration;
-use store::StoreError;
+use store::{Owner, StoreError};
 use tonic::Code;
 
 /// The kinds of error. Their names are stable: clients may match on them.
@@ -58,6 +58,10 @@ pub enum ErrorCode {
     DataLoss,
     /// What is stored of the session is damaged; others are not affected.
     SessionDamaged,
+    /// Another server works with the session; the error says where it is reached.
+    OwnedElsewhere,
+    /// This server stood still for too long, so that another may work with the session by now.
+    LeaseLost,
     /// The server is about to stop.
     ShuttingDown,
     /// The session's worker failed.
@@ -111,6 +115,8 @@ impl ErrorCode {
             Self::StorageFailed => "STORAGE_FAILED",
             Self::DataLoss => "DATA_LOSS",
             Self::SessionDamaged => "SESSION_DAMAGED",
+            Self::OwnedElsewhere => "OWNED_ELSEWHERE",
+            Self::LeaseLost => "LEASE_LOST",
             Self::ShuttingDown => "SHUTTING_DOWN",
             Self::SessionFailed => "SESSION_FAILED",
             Self::Unauthenticated => "UNAUTHENTICATED",
@@ -152,6 +158,8 @@ impl ErrorCode {
             Self::StorageFull => "The storage is full",
             Self::StorageFailed => "The storage failed",
             Self::DataLoss | Self::SessionDamaged => "The stored map is damaged",
+            Self::OwnedElsewhere => "Another server works with the session",
+            Self::LeaseLost => "The session was given up",
             Self::ShuttingDown => "The server is shutting down",
             Self::SessionFailed => "The session failed",
             Self::Unauthenticated => "A token is needed",
@@ -194,7 +202,9 @@ impl ErrorCode {
             | Self::MessageTooLarge
             | Self::StorageFull => Code::ResourceExhausted,
             Self::TookTooLong => Code::DeadlineExceeded,
-            Self::StorageFailed | Self::ShuttingDown => Code::Unavailable,
+            Self::StorageFailed | Self::OwnedElsewhere | Self::LeaseLost | Self::ShuttingDown => {
+                Code::Unavailable
+            }
             Self::DataLoss | Self::SessionDamaged => Code::DataLoss,
             Self::SessionFailed | Self::Internal => Code::Internal,
         }
@@ -217,6 +227,7 @@ impl ErrorCode {
             | Self::SessionBusy
             | Self::CannotMerge
             | Self::TakenOver
+            | Self::OwnedElsewhere
             | Self::IdleStream => StatusCode::CONFLICT,
             Self::ScaleUndetermined => StatusCode::UNPROCESSABLE_ENTITY,
             Self::Unauthenticated => StatusCode::UNAUTHORIZED,
@@ -230,9 +241,11 @@ impl ErrorCode {
             Self::MessageTooLarge => StatusCode::PAYLOAD_TOO_LARGE,
             Self::UnsupportedMediaType => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             Self::StorageFull => StatusCode::INSUFFICIENT_STORAGE,
-            Self::StorageFailed | Self::ShuttingDown | Self::TooManyConnections | Self::TookTooLong => {
-                StatusCode::SERVICE_UNAVAILABLE
-            }
+            Self::StorageFailed
+            | Self::LeaseLost
+            | Self::ShuttingDown
+            | Self::TooManyConnections
+            | Self::TookTooLong => StatusCode::SERVICE_UNAVAILABLE,
             Self::DataLoss | Self::SessionDamaged | Self::SessionFailed | Self::Internal => {
                 StatusCode::INTERNAL_SERVER_ERROR
             }
@@ -261,12 +274,14 @@ pub struct ApiError {
     pub violations: Vec<FieldViolation>,
     /// After how long the same request may be taken, where that is known.
     pub retry_after: Option<Duration>,
+    /// The server that works with the session, for [`ErrorCode::OwnedElsewhere`].
+    pub owner: Option<Box<Owner>>,
 }
 
 impl ApiError {
     /// An error of this kind.
     pub fn new(code: ErrorCode, message: impl Into<String>) -> Self {
-        Self { code, message: message.into(), violations: Vec::new(), retry_after: None }
+        Self { code, message: message.into(), violations: Vec::new(), retry_after: None, owner: None }
     }
 
     /// A request with one wrong field.
@@ -301,11 +316,12 @@ impl From<ApiError> for tonic::Status {
     fn from(error: ApiError) -> Self {
         use tonic_types::{ErrorDetails, StatusExt};
         let mut details = ErrorDetails::new();
-        details.set_error_info(
-            error.code.name(),
-            "monoslam",
-            std::collections::HashMap::<String, String>::new(),
-        );
+        let mut told = std::collections::HashMap::<String, String>::new();
+        if let Some(owner) = error.owner {
+            told.insert("grpc_url".to_owned(), owner.grpc_url);
+            told.insert("http_url".to_owned(), owner.http_url);
+        }
+        details.set_error_info(error.code.name(), "monoslam", told);
         if let Some(wait) = error.retry_after {
             details.set_retry_info(Some(wait));
         }
@@ -328,6 +344,8 @@ impl From<StoreError> for ApiError {
             | StoreError::Gone { .. }
             | StoreError::Unreachable(_)
             | StoreError::Failing(_) => ErrorCode::StorageFailed,
+            StoreError::OwnedElsewhere { .. } => ErrorCode::OwnedElsewhere,
+            StoreError::LeaseLost { .. } => ErrorCode::LeaseLost,
             StoreError::Corrupt(_) | StoreError::Map(_) | StoreError::OtherSettings(_) => ErrorCode::DataLoss,
             _ => return Self::internal(with_causes(&error)),
         };
@@ -339,9 +357,21 @@ impl From<StoreError> for ApiError {
             // The key holds the owner, which callers do not say.
             StoreError::SessionNotFound { id } => return Self::session_not_found(name_in(id)),
             StoreError::SessionExists { id } => format!("there is already a session {:?}", name_in(id)),
+            StoreError::OwnedElsewhere { id, owner } => {
+                let (name, Owner { grpc_url, http_url, .. }) = (name_in(id), owner);
+                format!("another server works with session {name:?}: ask it, at {grpc_url} or {http_url}")
+            }
+            StoreError::LeaseLost { id } => format!(
+                "this server could not keep session {:?}; open it again to go on from its last saved frame",
+                name_in(id)
+            ),
             _ => error.to_string(),
         };
-        Self::new(code, message)
+        let owner = match error {
+            StoreError::OwnedElsewhere { owner, .. } => Some(Box::new(owner)),
+            _ => None,
+        };
+        Self { owner, ..Self::new(code, message) }
     }
 }
 

@@ -21,6 +21,7 @@ mod connections;
 mod current;
 mod data;
 mod error;
+mod fleet;
 pub mod grpc;
 mod ids;
 pub mod localization;

@@ -3,8 +3,9 @@
 use crate::config::Config;
 use crate::connections::{Certificates, Meter, Opening, Table, raise_file_limit};
 use crate::current::Changes;
-use crate::data::{DataLock, open_store};
+use crate::data::{DataLock, open_store, server_name};
 use crate::service::Service;
+use crate::session::keep;
 use crate::soundness::Soundness;
 use crate::{grpc, rest, telemetry};
 use anyhow::Context;
@@ -47,6 +48,14 @@ impl Server {
         let grpc_listener = listen("grpc_addr", config.grpc_addr).await?;
         let http_listener = listen("http_addr", config.http_addr).await?;
         let (grpc_addr, http_addr) = (grpc_listener.local_addr()?, http_listener.local_addr()?);
+        let lease = config.fleet.lease();
+        let store = match store.path() {
+            Some(_) => store,
+            None => {
+                let name = server_name(&config.data_dir)?;
+                store.owned_by(config.fleet.owner(name, grpc_addr, http_addr, tls.is_some()), lease)
+            }
+        };
         let grace = config.shutdown_grace();
         let table = Table::new(config.connections.clone(), max_files);
         let soundness = Soundness::look(&config.storage, &store, &closing).await;
@@ -58,6 +67,8 @@ impl Server {
         check_reach(&service, reach)?;
 
         tokio::spawn(service.access().clone().look_after(closing.clone()));
+        let (keeping, kept, gone) = (service.clone(), store.clone(), ended.clone());
+        tokio::spawn(async move { gone.run_until_cancelled(keep(keeping.registry(), &kept, lease)).await });
         tokio::spawn(table.clone().look_after(closing.clone(), ended.clone()));
         if let Some(certificates) = &tls {
             tokio::spawn(certificates.clone().look_after(closing.clone()));

@@ -68,6 +68,7 @@ impl Store {
     /// [`StoreError::SessionNotFound`] if there is none of this name.
     pub async fn delete_session(&self, id: &str) -> Result<(), StoreError> {
         let mut transaction = self.begin_write().await?;
+        transaction.hold(id).await?;
         let number: Option<i64> = query("UPDATE sessions SET id = NULL WHERE id = $1 RETURNING number")
             .bind(id)
             .scalar(&mut transaction)

@@ -1,5 +1,6 @@
 //! What can go wrong with the database, sorted by what the caller can do about it.
 
+use crate::Owner;
 use slam::map::MapError;
 use sqlx::error::DatabaseError as _;
 use sqlx::sqlite::SqliteError;
@@ -88,6 +89,21 @@ pub enum StoreError {
     /// and the update can be tried again.
     #[error("PostgreSQL cannot be reached or used at present: {0}")]
     Unreachable(#[source] sqlx::Error),
+    /// Another server works with the session.
+    #[error("another server works with session {id:?}: {}", owner.grpc_url)]
+    OwnedElsewhere {
+        /// The session.
+        id: String,
+        /// That server.
+        owner: Owner,
+    },
+    /// This server worked with the session and does not any more: it was not heard of for too long. Nothing
+    /// of the update was stored.
+    #[error("this server stood still for too long to go on with session {id:?}; what was not saved is lost")]
+    LeaseLost {
+        /// The session.
+        id: String,
+    },
     /// Where the database should be is no address.
     #[error("the address of the database cannot be used: {0}")]
     Address(String),

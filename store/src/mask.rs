@@ -14,7 +14,7 @@ impl Store {
     /// [`StoreError::SessionNotFound`].
     pub async fn set_mask(&self, session: &str, mask: Option<&SceneMask>) -> Result<(), StoreError> {
         let mut transaction = self.begin_write().await?;
-        let number = session_number(&mut transaction, session).await?;
+        let (number, _) = transaction.hold(session).await?;
         write_mask(&mut transaction, number, mask).await?;
         let outcome = transaction.commit().await;
         self.place().note(&outcome);

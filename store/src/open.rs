@@ -2,6 +2,7 @@
 
 use crate::StoreError;
 use crate::engine::{Connection, Held, postgres, sqlite};
+use crate::lease::Leases;
 use crate::migrations::SQLITE_MIGRATIONS;
 use crate::place::Place;
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool, SqlitePoolOptions};
@@ -68,6 +69,7 @@ impl Default for StoreOptions {
 pub struct Store {
     engine: Engine,
     place: Place,
+    leases: Leases,
 }
 
 #[derive(Clone, Debug)]
@@ -84,10 +86,16 @@ enum Engine {
 pub(crate) struct WriteTransaction {
     connection: Connection,
     place: Place,
+    leases: Leases,
     is_committed: bool,
 }
 
 impl WriteTransaction {
+    /// What this server has taken.
+    pub fn leases(&self) -> &Leases {
+        &self.leases
+    }
+
     /// Makes what was written durable.
     ///
     /// # Errors [`StoreError::Gone`] if it was written into a file that is no longer there. If PostgreSQL was
@@ -147,7 +155,7 @@ impl Store {
         SQLITE_MIGRATIONS.run(&writer).await.map_err(migration_error)?;
         let readers = sqlite::readers(&path, &options);
         let place = Place::of(&path);
-        Ok(Self { engine: Engine::Sqlite { writer, readers, path }, place })
+        Ok(Self { engine: Engine::Sqlite { writer, readers, path }, place, leases: Leases::default() })
     }
 
     /// Connects to a database of PostgreSQL, such as `postgres://user@host/maps?sslmode=verify-full`, and
@@ -166,7 +174,7 @@ impl Store {
     /// As [`Self::connect`].
     pub async fn connect_beside(url: &str, options: StoreOptions) -> Result<Self, StoreError> {
         let pools = postgres::Pools::open(url, &options).await?;
-        Ok(Self { engine: Engine::Postgres(pools), place: Place::elsewhere() })
+        Ok(Self { engine: Engine::Postgres(pools), place: Place::elsewhere(), leases: Leases::default() })
     }
 
     async fn cleared(self) -> Result<Self, StoreError> {
@@ -185,7 +193,7 @@ impl Store {
         let n_readers = StoreOptions::default().n_readers;
         let pool = || SqlitePoolOptions::new().max_connections(n_readers).connect_lazy_with(options.clone());
         let engine = Engine::Sqlite { writer: pool(), readers: pool(), path: path.to_owned() };
-        Self { engine, place: Place::of(path) }
+        Self { engine, place: Place::of(path), leases: Leases::default() }
     }
 
     /// Ends the connections of a store that only reads.
@@ -250,6 +258,14 @@ impl Store {
         &self.place
     }
 
+    pub(crate) fn leases(&self) -> &Leases {
+        &self.leases
+    }
+
+    pub(crate) fn with_leases(self, leases: Leases) -> Self {
+        Self { leases, ..self }
+    }
+
     /// The database file; `None` of a database of PostgreSQL.
     pub fn path(&self) -> Option<&Path> {
         match &self.engine {
@@ -276,7 +292,8 @@ impl Store {
             }
         };
         // Made before the statement runs, so that giving up in the middle of it closes the connection too.
-        let mut transaction = WriteTransaction { connection, place: self.place.clone(), is_committed: false };
+        let (place, leases) = (self.place.clone(), self.leases.clone());
+        let mut transaction = WriteTransaction { connection, place, leases, is_committed: false };
         transaction.command(begin).await?;
         Ok(transaction)
     }

@@ -5,7 +5,6 @@
 
 use crate::engine::{Connection, Row, query};
 use crate::number::{from_column, to_column};
-use crate::session::session_number;
 use crate::{Store, StoreError};
 
 /// By how much the engine's times are ahead of the client's, along a session.
@@ -48,7 +47,7 @@ impl Store {
     /// [`StoreError::SessionNotFound`], or if it cannot be stored.
     pub async fn begin_segment(&self, id: &str, sequence: u64, ahead_ns: i64) -> Result<(), StoreError> {
         let mut transaction = self.begin_write().await?;
-        let session = session_number(&mut transaction, id).await?;
+        let (session, _) = transaction.hold(id).await?;
         let insert = "INSERT INTO segments (session, first_sequence, ahead_ns) VALUES ($1, $2, $3) \
              ON CONFLICT (session, first_sequence) DO UPDATE SET ahead_ns = excluded.ahead_ns";
         let insert = query(insert).bind(session).bind(to_column("sequence", sequence)?).bind(ahead_ns);

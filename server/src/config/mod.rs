@@ -6,6 +6,7 @@ mod environment;
 mod limits;
 mod sessions;
 
+use crate::fleet::FleetConfig;
 use crate::network::{self, AccessConfig, ConnectionConfig, QuotaConfig, TlsConfig};
 use crate::storage::StorageConfig;
 use crate::traces::TraceConfig;
@@ -40,6 +41,8 @@ pub struct Config {
     pub sessions: SessionConfig,
     /// How the database is kept.
     pub storage: StorageConfig,
+    /// Several servers on one database.
+    pub fleet: FleetConfig,
     /// Who is let in.
     pub access: AccessConfig,
     /// Encryption.
@@ -77,6 +80,7 @@ impl Default for Config {
             limits: Limits::default(),
             sessions: SessionConfig::default(),
             storage: StorageConfig::default(),
+            fleet: FleetConfig::default(),
             access: AccessConfig::default(),
             tls: TlsConfig::default(),
             connections: ConnectionConfig::default(),
@@ -237,6 +241,7 @@ impl Config {
         }
         network::validate(&self.access, &self.tls, &self.connections, &self.quotas)?;
         self.storage.validate()?;
+        self.fleet.validate()?;
         self.traces.validate()?;
         if let Some(filter) = &self.log_filter {
             let parsed = tracing_subscriber::EnvFilter::try_new(filter);

@@ -2,10 +2,13 @@
 
 use crate::error::{ApiError, ErrorCode};
 use axum::http::header::{CONTENT_TYPE, RETRY_AFTER, WWW_AUTHENTICATE};
-use axum::http::{HeaderValue, StatusCode};
+use axum::http::{HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
+
+/// Says where the server is reached by HTTP that works with the session.
+const OWNER: HeaderName = HeaderName::from_static("monoslam-owner");
 
 /// What went wrong (RFC 9457).
 #[derive(Clone, Debug, Serialize, ToSchema)]
@@ -39,7 +42,7 @@ pub struct Violation {
 
 impl From<ApiError> for ProblemDetails {
     fn from(error: ApiError) -> Self {
-        let ApiError { code, message, violations, retry_after: _ } = error;
+        let ApiError { code, message, violations, retry_after: _, owner: _ } = error;
         Self {
             kind: format!("urn:monoslam:error:{}", code.name()),
             title: code.title(),
@@ -57,11 +60,14 @@ impl From<ApiError> for ProblemDetails {
 impl IntoResponse for ApiError {
     fn into_response(self) -> Response {
         let status = self.code.http();
-        let retry_after = self.retry_after;
+        let (retry_after, owner) = (self.retry_after, self.owner.clone());
         let body = serde_json::to_vec(&ProblemDetails::from(self)).unwrap_or_default();
         let mut response = (status, [(CONTENT_TYPE, "application/problem+json")], body).into_response();
         if let Some(wait) = retry_after {
             response.headers_mut().insert(RETRY_AFTER, HeaderValue::from(wait.as_secs_f64().ceil() as u64));
+        }
+        if let Some(url) = owner.and_then(|owner| HeaderValue::try_from(owner.http_url).ok()) {
+            response.headers_mut().insert(OWNER, url);
         }
         if status == StatusCode::UNAUTHORIZED {
             let scheme = HeaderValue::from_static("Bearer realm=\"monoslam\"");

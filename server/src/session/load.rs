@@ -124,6 +124,11 @@ impl History {
         Ok(self.store.begin_segment(self.id.as_str(), sequence, ahead_ns).await?)
     }
 
+    /// Whether the session is this server's: what it computes of it may be told.
+    pub fn is_ours(&self) -> bool {
+        self.store.keeps(self.id.as_str())
+    }
+
     /// Saves what of the images is left out.
     pub async fn save_mask(&self, mask: Option<SceneMask>) {
         if let Err(error) = self.store.set_mask(self.id.as_str(), mask.as_ref()).await {

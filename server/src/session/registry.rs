@@ -17,7 +17,7 @@ use slam::Cores;
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use store::Store;
+use store::{Store, StoreError};
 use tokio::runtime::Handle;
 use tokio::sync::{broadcast, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
@@ -211,7 +211,30 @@ impl Registry {
             unload(&held, id, purpose).await?;
             all_held.push(held);
         }
-        work().await
+        let mut taken = Ok(());
+        for id in ids {
+            taken = self.store.take(id.as_str()).await;
+            if taken.is_err() {
+                break;
+            }
+        }
+        let outcome = match taken {
+            Ok(()) => work().await,
+            Err(error) => Err(error.into()),
+        };
+        for id in ids {
+            self.store.give_back(id.as_str()).await;
+        }
+        outcome
+    }
+
+    /// Ends a session that this server could not keep, by its key: another may have it by now.
+    pub fn lose(&self, key: &str) {
+        let Some(loaded) = self.slots.resident(&SessionId::stored(None, key.to_owned())) else { return };
+        if !loaded.unload.is_cancelled() {
+            tracing::error!(session.id = key, "session {key} is given up: its lease could not be renewed");
+        }
+        loaded.lose(StoreError::LeaseLost { id: key.to_owned() }.into());
     }
 
     /// Where a session's events go.
@@ -297,6 +320,16 @@ impl Registry {
     }
 
     async fn start(&self, id: &SessionId, events: Events, room: Room) -> Result<Loaded, ApiError> {
+        self.store.take(id.as_str()).await?;
+        let started = self.start_taken(id, events, room).await;
+        if started.is_err() {
+            self.store.give_back(id.as_str()).await;
+        }
+        started
+    }
+
+    /// As [`Self::start`], of a session that no other server works with.
+    async fn start_taken(&self, id: &SessionId, events: Events, room: Room) -> Result<Loaded, ApiError> {
         let context = LoadContext { store: &self.store, id };
         let stored = load::read(&context).await?;
         let last_frame = stored.last_frame();
@@ -319,8 +352,9 @@ impl Registry {
         let (loaded, ends) =
             channels(stored.metres_per_unit, events, self.config.get().sessions.idle_stream());
         let stay = Stay { _room: room, _ended: loaded.ended.clone().drop_guard() };
-        let cores = self.cores.clone();
-        spawn(Beginning { id: id.clone(), config, stored, persistence, saving, ends, stay, cores }).await?;
+        let (cores, store) = (self.cores.clone(), self.store.clone());
+        spawn(Beginning { id: id.clone(), config, stored, persistence, saving, ends, stay, cores, store })
+            .await?;
         Ok(loaded)
     }
 }
@@ -354,6 +388,7 @@ struct Beginning {
     /// Dropped when the thread ends, however that comes.
     stay: Stay,
     cores: Cores,
+    store: Store,
 }
 
 /// A session's stay in memory: its room is free before anybody learns that it has ended.
@@ -368,7 +403,8 @@ async fn spawn(beginning: Beginning) -> Result<(), ApiError> {
     let runtime = Handle::current();
     let thread = std::thread::Builder::new().name(format!("session-{}", beginning.id));
     let run = move || {
-        let Beginning { id, config, stored, persistence, saving, ends, stay: _stay, cores } = beginning;
+        let Beginning { id, config, stored, persistence, saving, ends, stay: _stay, cores, store } =
+            beginning;
         let _joined = cores.join();
         let pipeline = match load::resume(stored) {
             Ok(pipeline) => pipeline,
@@ -380,11 +416,12 @@ async fn spawn(beginning: Beginning) -> Result<(), ApiError> {
         };
         let _ = ready_sender.send(Ok(()));
         tracing::info!(session.id = id.as_str(), "session {id} is in memory");
-        let events = ends.events.clone();
+        let (events, key) = (ends.events.clone(), id.as_str().to_owned());
         Worker::new(id, config, pipeline, persistence, ends, runtime.clone()).run();
         if let Err(error) = runtime.block_on(saving) {
             tracing::error!(error = %error, "a session's writer failed: {error}");
         }
+        runtime.block_on(store.give_back(&key));
         crate::memory::give_back();
         events.unloaded();
     };
@@ -443,6 +480,15 @@ impl Loaded {
     fn end_with(&self, error: ApiError) {
         if let Some(writer) = self.writer() {
             writer.queue.close(Err(error));
+            writer.ending_soon.cancel();
+        }
+        self.unload.cancel();
+    }
+
+    /// As [`Self::end_with`], without serving the frames that are queued.
+    fn lose(&self, error: ApiError) {
+        if let Some(writer) = self.writer() {
+            writer.queue.abort(Err(error));
             writer.ending_soon.cancel();
         }
         self.unload.cancel();

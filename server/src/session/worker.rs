@@ -28,6 +28,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
+use store::StoreError;
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
@@ -287,6 +288,12 @@ impl Worker {
             Decoded::Dropped(sequence) => dropped(sequence),
             Decoded::Rejected(rejection) => rejected(rejection),
         };
+        if !self.history.is_ours() {
+            // The process stood still, or the database was away: another server may have gone on by now.
+            let id = self.id.as_str().to_owned();
+            stream.queue.abort(Err(StoreError::LeaseLost { id }.into()));
+            return Err(ClientGone);
+        }
         self.send(stream, Ok(reply))
     }
 

@@ -116,25 +116,20 @@ mod postgres {
         let ready = tests::get(server.http_addr, "/readyz").await;
         eprintln!("while the database is away: {status:?}, readyz {ready:?}");
         cluster.start_again();
+        // Until what waited is saved, frames are refused.
         let begun = Instant::now();
-        let (opened, mut frames) = loop {
-            match FrameStream::open(&mut client, v1::OpenStream { take_over: true, ..open_message("s") })
-                .await
-            {
-                Ok(frames) => break (frames.opened.clone(), frames),
-                Err(status) => assert!(begun.elapsed() < Duration::from_secs(30), "{status}"),
-            }
+        let (sequence, frames) = loop {
+            assert!(begun.elapsed() < Duration::from_secs(30), "it does not go on");
             tokio::time::sleep(Duration::from_millis(200)).await;
+            let open = v1::OpenStream { take_over: true, ..open_message("s") };
+            let Ok(mut frames) = FrameStream::open(&mut client, open).await else { continue };
+            let (saved, sequence) = (frames.opened.durable_sequence, frames.opened.next_sequence);
+            assert!(saved >= first, "{first:?} was promised, {saved:?} is there");
+            frames.send(Request::Frame(tests::frame(sequence, image.clone()))).await;
+            if let Ok(Some(Response::Result(_))) = frames.next().await {
+                break (sequence, frames);
+            }
         };
-        assert!(
-            opened.durable_sequence >= first,
-            "{first:?} was promised, {:?} is there",
-            opened.durable_sequence
-        );
-        sequence = opened.next_sequence;
-        let image = raw_gray(160, 120, &[100; 160 * 120]);
-        frames.send(Request::Frame(tests::frame(sequence, image))).await;
-        assert!(matches!(frames.next().await, Ok(Some(Response::Result(_)))));
         frames.finish().await.unwrap();
         let request = v1::GetSessionRequest { session_id: "s".into() };
         let session = client.get_session(request).await.unwrap().into_inner();

@@ -4,6 +4,7 @@ mod backup;
 mod crash;
 mod database;
 mod faults;
+mod fleet;
 mod idle;
 mod load;
 mod manager;

@@ -8,10 +8,11 @@ mod primitives;
 
 use crate::engine::{Connection, MultiRow, ids, postgres, query};
 use crate::number::to_column;
+use crate::open::WriteTransaction;
 use crate::pose::finite_pose_columns;
 use crate::segments::Segments;
 use crate::session::{
-    SessionCounts, hold_session, read_session, state_column, write_correction, write_enlarged, write_progress,
+    SessionCounts, read_session, state_column, write_correction, write_enlarged, write_progress,
 };
 use crate::{Store, StoreError};
 
@@ -91,7 +92,7 @@ impl Store {
         let outcome = async {
             let mut transaction = self.begin_write().await?;
             let committed = write_update(&mut transaction, session, update, status, &[]).await?;
-            let (number, _) = read_session(&mut transaction, session).await?;
+            let (number, _) = transaction.hold(session).await?;
             let (other, _) = read_session(&mut transaction, from).await?;
             keyframes::copy_images(&mut transaction, (other, number), keyframes).await?;
             transaction.commit().await?;
@@ -118,13 +119,13 @@ impl Store {
 
 /// Writes an update's rows, without the commit.
 async fn write_update(
-    transaction: &mut Connection,
+    transaction: &mut WriteTransaction,
     session: &str,
     update: &MapUpdate,
     status: SessionStatus,
     images: &[KeyframeImage],
 ) -> Result<Committed, StoreError> {
-    let (number, before) = hold_session(transaction, session).await?;
+    let (number, before) = transaction.hold(session).await?;
     let segments = Segments::read(transaction, number).await?;
 
     landmarks::delete::<PointLandmark>(transaction, number, update).await?;

@@ -221,7 +221,7 @@ impl Store {
             return Err(StoreError::NotFinite("the scale".into()));
         }
         let mut transaction = self.begin_write().await?;
-        let (number, _) = read_session(&mut transaction, id).await?;
+        let (number, _) = transaction.hold(id).await?;
         if let Some(options) = &changes.options {
             query("UPDATE sessions SET options = $1 WHERE number = $2")
                 .bind(json::encode_options(options)?)
@@ -285,20 +285,6 @@ pub(crate) async fn read_session(
     id: &str,
 ) -> Result<(i64, SessionRecord), StoreError> {
     let row = query("SELECT * FROM sessions WHERE id = $1").bind(id).fetch_optional(connection).await?;
-    parse_session(&row.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?)
-}
-
-/// As [`read_session`], in a transaction that is going to write it: who else would waits for its end. SQLite
-/// has one writer at a time anyhow.
-pub(crate) async fn hold_session(
-    connection: &mut Connection,
-    id: &str,
-) -> Result<(i64, SessionRecord), StoreError> {
-    let sql = connection.either(
-        "SELECT * FROM sessions WHERE id = $1",
-        "SELECT * FROM sessions WHERE id = $1 FOR NO KEY UPDATE",
-    );
-    let row = query(sql).bind(id).fetch_optional(connection).await?;
     parse_session(&row.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?)
 }
 

@@ -2,7 +2,8 @@
 
 use crate::world::*;
 use nalgebra::Vector3;
-use store::{Bounds, LineQuery, PointQuery, Store, StoreError, StoreOptions};
+use std::time::Duration;
+use store::{Bounds, LineQuery, Owner, PointQuery, SessionChanges, Store, StoreError, StoreOptions};
 use testkit::postgres::{Cluster, shared_database};
 
 mod postgres {
@@ -48,7 +49,7 @@ mod postgres {
             if n_scans > 0 {
                 break;
             }
-            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+            tokio::time::sleep(Duration::from_millis(50)).await;
         }
         assert!(n_scans > 0, "the store asks in another way than the index answers");
     }
@@ -57,8 +58,7 @@ mod postgres {
     #[ignore = "needs PostgreSQL"]
     async fn a_server_that_is_away_is_told_and_what_waits_is_saved_when_it_is_back() {
         let mut cluster = Cluster::start();
-        let options =
-            StoreOptions { connect_timeout: std::time::Duration::from_secs(1), ..StoreOptions::default() };
+        let options = StoreOptions { connect_timeout: Duration::from_secs(1), ..StoreOptions::default() };
         let store = Store::connect(&cluster.url(), options).await.unwrap();
         store.create_session(&new_session("s")).await.unwrap();
         let world = parts(1, SMALL);
@@ -109,8 +109,7 @@ mod postgres {
         let error = Store::connect(&url, StoreOptions::default()).await.unwrap_err();
         assert!(matches!(error, StoreError::NewerSchema { found: 9999, .. }), "{error:?}");
 
-        let options =
-            || StoreOptions { connect_timeout: std::time::Duration::from_secs(1), ..StoreOptions::default() };
+        let options = || StoreOptions { connect_timeout: Duration::from_secs(1), ..StoreOptions::default() };
         for address in ["postgres://me:secret@127.0.0.1:1/maps", "postgres://me:secret@127.0.0.1:port/maps"] {
             let error = Store::connect(address, options()).await.unwrap_err();
             assert!(matches!(error, StoreError::Unreachable(_) | StoreError::Address(_)), "{error:?}");
@@ -130,5 +129,115 @@ mod postgres {
             digests.push(store.digest("s").await.unwrap());
         }
         assert_eq!(digests[0].to_string(), digests[1].to_string());
+    }
+
+    fn owner(name: &str) -> Owner {
+        let [grpc_url, http_url] = [50051, 8080].map(|port| format!("http://{name}:{port}"));
+        Owner { name: name.to_owned(), grpc_url, http_url }
+    }
+
+    /// Two servers on one database with a session `s`.
+    async fn two_servers(home: &Home, lasts: Duration) -> [Store; 2] {
+        home.store_with_session().await;
+        let (one, other) = (home.open().await, home.open().await);
+        [one.owned_by(owner("one"), lasts), other.owned_by(owner("other"), lasts)]
+    }
+
+    const LONG: Duration = Duration::from_secs(60);
+
+    #[tokio::test]
+    #[ignore = "needs PostgreSQL"]
+    async fn a_session_is_one_servers_until_it_is_given_back() {
+        let home = Home::postgres();
+        let [one, other] = two_servers(&home, LONG).await;
+        let update = first_update(&parts(1, SMALL));
+        one.take("s").await.unwrap();
+        one.save_update("s", &update, TRACKED, &[]).await.unwrap();
+        let digest = one.digest("s").await.unwrap();
+        let scale = SessionChanges { metres_per_unit: Some(Some(2.0)), ..SessionChanges::default() };
+        for refused in [
+            other.take("s").await,
+            other.save_update("s", &update, TRACKED, &[]).await.map(drop),
+            other.update_session("s", &scale).await.map(drop),
+            other.set_mask("s", None).await,
+            other.begin_segment("s", 99, 1).await,
+            other.delete_session("s").await,
+        ] {
+            let Err(StoreError::OwnedElsewhere { owner: named, .. }) = refused else { panic!("{refused:?}") };
+            assert_eq!(named, owner("one"));
+        }
+        assert_eq!(
+            other.digest("s").await.unwrap(),
+            digest,
+            "reading is everybody's, and nothing was written"
+        );
+        one.give_back("s").await;
+        other.take("s").await.unwrap();
+        other.save_update("s", &update, TRACKED, &[]).await.unwrap();
+        assert!(matches!(one.take("s").await, Err(StoreError::OwnedElsewhere { .. })));
+        assert!(matches!(one.take("t").await, Err(StoreError::SessionNotFound { .. })));
+    }
+
+    #[tokio::test]
+    #[ignore = "needs PostgreSQL"]
+    async fn who_stood_still_writes_nothing_into_what_another_has_taken() {
+        let home = Home::postgres();
+        let [one, other] = two_servers(&home, LONG).await;
+        let update = first_update(&parts(1, SMALL));
+        one.take("s").await.unwrap();
+        // For the database one's lease has ended, while one, whose clock stood still, believes that it goes
+        // on.
+        assert_eq!(
+            number(&home, "UPDATE leases SET expires_at = now() - interval '1 s' RETURNING 1::bigint").await,
+            1
+        );
+        other.take("s").await.unwrap();
+        let before = other.digest("s").await.unwrap();
+        assert!(one.keeps("s"), "it does not know yet");
+        let refused = one.save_update("s", &update, TRACKED, &[]).await;
+        assert!(matches!(refused, Err(StoreError::LeaseLost { .. })), "{refused:?}");
+        assert!(matches!(one.delete_session("s").await, Err(StoreError::LeaseLost { .. })));
+        assert_eq!(other.digest("s").await.unwrap(), before);
+        // Nor when nobody has it any more: its map may be another by now.
+        other.save_update("s", &update, TRACKED, &[]).await.unwrap();
+        other.give_back("s").await;
+        assert!(matches!(
+            one.save_update("s", &update, TRACKED, &[]).await,
+            Err(StoreError::LeaseLost { .. })
+        ));
+        // It learns of it when it renews.
+        assert_eq!(one.lost(Duration::ZERO), [""; 0]);
+        one.renew().await.unwrap();
+        assert_eq!(one.lost(Duration::ZERO), ["s"]);
+        assert!(!one.keeps("s"));
+        one.give_back("s").await;
+        one.take("s").await.unwrap();
+        one.save_update("s", &update, TRACKED, &[]).await.unwrap();
+    }
+
+    #[tokio::test]
+    #[ignore = "needs PostgreSQL"]
+    async fn a_lease_that_is_renewed_lasts_and_one_that_is_not_ends_for_its_server_first() {
+        let home = Home::postgres();
+        let [one, other] = two_servers(&home, Duration::from_millis(1500)).await;
+        let update = first_update(&parts(1, SMALL));
+        one.take("s").await.unwrap();
+        for _ in 0..8 {
+            tokio::time::sleep(Duration::from_millis(300)).await;
+            one.renew().await.unwrap();
+            assert!(matches!(other.take("s").await, Err(StoreError::OwnedElsewhere { .. })));
+        }
+        let begun = std::time::Instant::now();
+        while let Err(StoreError::OwnedElsewhere { .. }) = other.take("s").await {
+            assert!(begun.elapsed() < Duration::from_secs(20), "the lease does not end");
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        // Nobody asked the database here.
+        assert!(!one.keeps("s") && one.lost(Duration::ZERO) == ["s"]);
+        assert!(matches!(
+            one.save_update("s", &update, TRACKED, &[]).await,
+            Err(StoreError::LeaseLost { .. })
+        ));
+        other.save_update("s", &update, TRACKED, &[]).await.unwrap();
     }
 }
