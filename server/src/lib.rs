@@ -29,6 +29,7 @@ pub mod maps;
 pub mod measures;
 mod memory;
 mod model;
+mod motion;
 pub mod network;
 mod notify;
 pub mod operations;
