@@ -44,6 +44,14 @@ pub enum ClientError {
         /// The server's sentence.
         message: String,
     },
+    /// Another server of the same fleet works with the session.
+    #[error("{message}")]
+    OwnedElsewhere {
+        /// The address of that server's gRPC.
+        owner: String,
+        /// The server's sentence.
+        message: String,
+    },
     /// The server answered what the contract does not allow.
     #[error("the server's answer cannot be used: {0}")]
     Protocol(String),
@@ -64,7 +72,7 @@ impl ClientError {
     /// Whether the same request may succeed later: the server did not answer, or said that it cannot now.
     pub fn is_passing(&self) -> bool {
         match self {
-            Self::Unreachable { .. } => true,
+            Self::Unreachable { .. } | Self::OwnedElsewhere { .. } => true,
             Self::Refused { code, .. } => *code == Code::Unavailable,
             _ => false,
         }
@@ -86,7 +94,12 @@ impl ClientError {
     /// Both use codes such as INTERNAL, but the server's errors carry an `ErrorInfo`, and those made on this
     /// side for a broken connection do not.
     pub(crate) fn from_status(server: &str, status: &tonic::Status) -> Self {
-        let is_from_server = status.get_error_details().error_info().is_some();
+        let details = status.get_error_details();
+        let is_from_server = details.error_info().is_some();
+        let owner = details.error_info().filter(|info| info.reason == OWNED_ELSEWHERE);
+        if let Some(owner) = owner.and_then(|info| info.metadata.get(OWNER_URL)) {
+            return Self::OwnedElsewhere { owner: owner.clone(), message: status.message().to_owned() };
+        }
         let is_of_connection =
             matches!(status.code(), Code::Unavailable | Code::Unknown | Code::Internal | Code::Cancelled);
         if is_from_web_server(status) {
@@ -98,6 +111,10 @@ impl ClientError {
         Self::Refused { code: status.code(), message: status.message().to_owned() }
     }
 }
+
+/// What the server calls it when another one works with the session, and where it tells which.
+const OWNED_ELSEWHERE: &str = "OWNED_ELSEWHERE";
+const OWNER_URL: &str = "grpc_url";
 
 /// Variables that name a proxy, for other programs.
 const PROXY_VARIABLES: [&str; 6] =

@@ -104,7 +104,8 @@ pub enum StreamEvent<'a> {
 /// Streams the frames of a plan and waits until the server has them in its database.
 ///
 /// When the connection breaks, it is made again; frames from the first that is not answered, or that the
-/// server does not have any more, are sent once more.
+/// server does not have any more, are sent once more. Where another server of the same fleet works with the
+/// session, the stream goes there, and back if that is gone.
 ///
 /// # Errors
 /// If the server refuses the stream, stays away, or a frame cannot be read.
@@ -114,7 +115,7 @@ pub async fn stream_frames(
     plan: &StreamPlan,
     mut observe: impl FnMut(StreamEvent<'_>),
 ) -> Result<StreamSummary, ClientError> {
-    let started = Instant::now();
+    let (started, home) = (Instant::now(), client.clone());
     let mut progress = Progress::new(&plan.range);
     let mut n_reconnects = 0;
     let mut n_attempts = 0;
@@ -132,10 +133,13 @@ pub async fn stream_frames(
         let after = backoff(n_attempts);
         observe(StreamEvent::Reconnecting { error: &error, after });
         tokio::time::sleep(after).await;
+        follow(client, &home, &error).await;
         n_reconnects += 1;
     }
     let elapsed_s = started.elapsed().as_secs_f64();
-    let session = wait_until_durable(client, plan, progress.last_result).await?;
+    let session = wait_until_durable(client, plan, progress.last_result).await;
+    *client = home;
+    let session = session?;
     let mut summary = progress.ledger.finish(progress.end_idx);
     summary.set_session(&session);
     summary.elapsed_s = elapsed_s;
@@ -143,6 +147,18 @@ pub async fn stream_frames(
     summary.realtime_factor = summary.recorded_s / elapsed_s.max(1e-9);
     summary.reconnects = n_reconnects;
     Ok(summary)
+}
+
+/// Goes to the server that works with the session; where that does not answer, back to the one that was
+/// given.
+async fn follow(client: &mut SlamClient, home: &SlamClient, error: &ClientError) {
+    *client = match error {
+        ClientError::OwnedElsewhere { owner, .. } => {
+            home.connect_to_owner(owner).await.unwrap_or_else(|_| home.clone())
+        }
+        ClientError::Unreachable { .. } => home.clone(),
+        _ => return,
+    };
 }
 
 /// Which frames are answered.

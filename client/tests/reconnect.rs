@@ -1,5 +1,6 @@
 //! Streaming against a server that misbehaves: breaks connections, forgets frames, drops and rejects them.
 
+use std::collections::HashMap;
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 
@@ -15,7 +16,8 @@ use recordings::{FileError, FrameImage, FrameReader, TimedFrame};
 use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::{ReceiverStream, TcpListenerStream};
-use tonic::{Request, Response, Status, Streaming};
+use tonic::{Code, Request, Response, Status, Streaming};
+use tonic_types::{ErrorDetails, StatusExt};
 
 const N_FRAMES: usize = 40;
 
@@ -48,6 +50,8 @@ struct Faults {
     n_forgotten: u64,
     /// Refuses every stream as if the session were broken.
     refuse: bool,
+    /// Refuses every stream because the server at this address works with the session.
+    owner: Option<String>,
     /// Sequence numbers that are dropped and rejected.
     dropped: Option<u64>,
     rejected: Option<u64>,
@@ -273,6 +277,12 @@ impl SlamService for Server {
         if state.lock().unwrap().faults.refuse {
             return Err(Status::failed_precondition("another client streams into the session"));
         }
+        let owner = state.lock().unwrap().faults.owner.clone();
+        if let Some(owner) = owner {
+            let told = HashMap::from([("grpc_url".to_owned(), owner)]);
+            let details = ErrorDetails::with_error_info("OWNED_ELSEWHERE", "monoslam", told);
+            return Err(Status::with_error_details(Code::Unavailable, "ask the other", details));
+        }
         let (answers, receiver) = mpsc::channel(4);
         tokio::spawn(async move {
             while let Ok(Some(request)) = requests.message().await {
@@ -361,6 +371,41 @@ async fn a_broken_stream_goes_on_where_the_server_says() {
     assert_eq!((summary.tracked, summary.repeated), (N_FRAMES - 2, 2));
     assert_every_frame_is_there_once(&server, Placement::AS_RECORDED);
     assert_eq!(server.0.lock().unwrap().take_overs, [false, true, true]);
+}
+
+#[tokio::test]
+async fn a_stream_goes_to_the_server_that_works_with_the_session() {
+    let (there, owner) = serve(Faults { break_after: vec![9], ..Default::default() }).await;
+    let (here, named) = serve(Faults { owner: Some(format!("http://{there}")), ..Default::default() }).await;
+    let mut client = SlamClient::connect(&format!("http://{here}")).await.unwrap();
+    let source: Arc<dyn FrameSource> = Arc::new(Frames);
+    let plan = plan(Placement::AS_RECORDED);
+    let summary = stream_frames(&mut client, &source, &plan, |_| {}).await.unwrap();
+    assert_eq!(summary.tracked + summary.repeated, N_FRAMES);
+    assert_every_frame_is_there_once(&owner, Placement::AS_RECORDED);
+    assert_eq!(client.server(), format!("http://{here}"), "the caller's connection is the one it made");
+    assert!(named.0.lock().unwrap().frames.is_empty());
+
+    // An owner that is gone is not asked for ever: the server that named it may have the session by now.
+    let (here, named) =
+        serve(Faults { owner: Some("http://127.0.0.1:1".into()), ..Default::default() }).await;
+    let mut client = SlamClient::connect(&format!("http://{here}")).await.unwrap();
+    let mut n_tries = 0;
+    let later = |event: StreamEvent<'_>| {
+        if let StreamEvent::Reconnecting { .. } = event {
+            n_tries += 1;
+            if n_tries == 2 {
+                named.0.lock().unwrap().faults.owner = None;
+            }
+        }
+    };
+    let summary = stream_frames(&mut client, &source, &plan, later).await.unwrap();
+    assert_eq!((summary.tracked, summary.reconnects), (N_FRAMES, 2));
+    assert_every_frame_is_there_once(&named, Placement::AS_RECORDED);
+
+    // Who is spoken to encrypted names nobody who is not.
+    let refused = client.connect_to_owner("ftp://127.0.0.1:1").await.err().unwrap();
+    assert!(matches!(refused, ClientError::Address { .. }), "{refused}");
 }
 
 #[tokio::test]

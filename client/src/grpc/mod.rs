@@ -76,6 +76,19 @@ impl SlamClient {
         Ok(Self { server: uri, credentials, grpc })
     }
 
+    /// Connects to another server of the same fleet, with the same credentials.
+    ///
+    /// # Errors
+    /// As [`Self::connect`]; also if credentials would be sent there without encryption that are not here.
+    pub async fn connect_to_owner(&self, server: &str) -> Result<Self, ClientError> {
+        let is_encrypted = |uri: &Uri| uri.scheme_str() == Some("https");
+        if is_encrypted(&self.server) && !is_encrypted(&parse_address(server)?) {
+            let reason = "the server it was named by is reached encrypted".to_owned();
+            return Err(ClientError::Address { address: server.to_owned(), reason });
+        }
+        Self::connect_with(server, self.credentials.clone()).await
+    }
+
     /// The HTTP interface of the same server, with the same credentials.
     ///
     /// # Errors

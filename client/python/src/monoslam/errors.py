@@ -69,7 +69,8 @@ class RefusedError(MonoslamError):
 
     @property
     def is_passing(self) -> bool:
-        return self.code in ("SHUTTING_DOWN", "STORAGE_FAILED", "UNAVAILABLE")
+        passing = ("SHUTTING_DOWN", "STORAGE_FAILED", "OWNED_ELSEWHERE", "LEASE_LOST", "UNAVAILABLE")
+        return self.code in passing
 
 
 class NotFoundError(RefusedError):
