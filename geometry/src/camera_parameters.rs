@@ -138,7 +138,7 @@ impl CameraParameters {
                     format!(
                         "distortion by a {name} is not supported, and coefficient {i} is {}; calibrate without it \
                          (OpenCV's CALIB_RATIONAL_MODEL at most)",
-                        self.distortion[i]
+                        shown(self.distortion[i])
                     ),
                 ));
             }
@@ -162,7 +162,7 @@ impl CameraParameters {
             if !(focal.is_finite() && focal > 0.0) {
                 return Err(error(
                     field,
-                    format!("{field} must be a positive focal length in pixels, not {focal}"),
+                    format!("{field} must be a positive focal length in pixels, not {}", shown(focal)),
                 ));
             }
             if !FOCAL_SHARES.contains(&(focal / longer)) {
@@ -176,8 +176,10 @@ impl CameraParameters {
                     field,
                     format!(
                         "{field} must be a focal length in pixels, between {least} and {most} for images of {}x{}, not \
-                         {focal}{hint}",
-                        self.width, self.height
+                         {}{hint}",
+                        self.width,
+                        self.height,
+                        shown(focal)
                     ),
                 ));
             }
@@ -187,7 +189,10 @@ impl CameraParameters {
             if !(center >= -0.5 && center <= end) {
                 return Err(error(
                     field,
-                    format!("{field} must be inside the image, between -0.5 and {end}, not {center}"),
+                    format!(
+                        "{field} must be inside the image, between -0.5 and {end}, not {}",
+                        shown(center)
+                    ),
                 ));
             }
         }
@@ -215,7 +220,7 @@ impl CameraParameters {
                 "distortion",
                 format!(
                     "distortion of the fov model must be an angle between 0.000001 and 3.1 radians, not {}",
-                    self.distortion[0]
+                    shown(self.distortion[0])
                 ),
             ));
         }
@@ -231,16 +236,23 @@ impl CameraParameters {
         };
         let model = self.model.name();
         if !(0.0..=1.0).contains(&alpha) {
-            let message = format!("α of the {model} model must be between 0 and 1, not {alpha}");
+            let message = format!("α of the {model} model must be between 0 and 1, not {}", shown(alpha));
             return Err(error("distortion", message));
         }
         if !(least..=most).contains(&other) {
-            let message =
-                format!("{name} of the {model} model must be between {least} and {most}, not {other}");
+            let message = format!(
+                "{name} of the {model} model must be between {least} and {most}, not {}",
+                shown(other)
+            );
             return Err(error("distortion", message));
         }
         Ok(())
     }
+}
+
+/// A number as people read it: one that cannot be meant may have hundreds of digits.
+fn shown(number: f64) -> String {
+    if number.abs() < 1e9 { number.to_string() } else { format!("{number:e}") }
 }
 
 /// The refusal of a field.

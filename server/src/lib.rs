@@ -30,6 +30,7 @@ pub mod measures;
 mod memory;
 mod migrate;
 mod model;
+mod motion;
 pub mod network;
 mod notify;
 pub mod operations;

@@ -9,6 +9,7 @@ use crate::current::{Changes, Current};
 use crate::error::{ApiError, ErrorCode};
 use crate::localization::Localization;
 use crate::maps::{MapQueries, Observed, SceneParts, masks};
+use crate::motion::Motion;
 use crate::operations::{Operations, Tools};
 use crate::options::{SessionOptions, camera_to_begin_with, camera_warnings, check_camera, engine_config};
 use crate::page::{Page, PageRequest};
@@ -133,6 +134,11 @@ impl Service {
     /// What can be asked of maps.
     pub fn maps(&self) -> &MapQueries {
         &self.maps
+    }
+
+    /// What the motion sensors of sessions' devices measured.
+    pub fn motion(&self) -> Motion {
+        Motion::new(self.store.clone())
     }
 
     /// Who may do what.

@@ -41,7 +41,7 @@ const SESSION: &str = "t camera, t options, i created_at_ns, i state, i last_seq
      f enlarges_for_border, f calibration_contradicted";
 
 /// Tables of a session, in an order in which none refers to one behind it.
-const TABLES: [Table; 11] = [
+const TABLES: [Table; 12] = [
     // In one transaction: a keyframe may hang on a later one.
     Table {
         name: "keyframes",
@@ -76,6 +76,7 @@ const TABLES: [Table; 11] = [
     ),
     table("segments", "i first_sequence, i ahead_ns"),
     table("session_masks", "b runs"),
+    blobs("motion", "i first_ns, i n_readings, b readings"),
 ];
 
 /// The trees of places, which are found by other columns.

@@ -17,7 +17,7 @@ enum Step {
 }
 
 /// Blobs first: the pages they free are what the R*Tree rearranges itself in when the database is full.
-const STEPS: [Step; 9] = [
+const STEPS: [Step; 10] = [
     // Pages of blobs are what takes the time here, hence fewer rows.
     Step::Rows(
         "DELETE FROM keyframe_images WHERE session = $1 AND keyframe IN
@@ -26,6 +26,10 @@ const STEPS: [Step; 9] = [
     Step::Rows(
         "DELETE FROM keyframe_features WHERE session = $1 AND keyframe IN
              (SELECT keyframe FROM keyframe_features WHERE session = $1 LIMIT $2 / 50)",
+    ),
+    Step::Rows(
+        "DELETE FROM motion WHERE session = $1 AND first_ns IN
+             (SELECT first_ns FROM motion WHERE session = $1 LIMIT $2 / 50)",
     ),
     Step::Rows(
         "DELETE FROM frames WHERE session = $1 AND sequence IN

@@ -229,6 +229,7 @@ pub async fn ask(
         "localize" | "mask" => {
             request.header("content-type", "image/png").body(tests::png(480, 360, &[255; 480 * 360]).data)
         }
+        "motion" => request.header("content-type", "text/csv").body("5,0,0,0,0,9.81,0\n"),
         "merge" => {
             request.header("content-type", "application/json").body(json!({"from": "kitchen"}).to_string())
         }

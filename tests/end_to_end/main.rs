@@ -13,6 +13,7 @@ mod kidnap;
 mod maps;
 mod masks;
 mod million;
+mod motion;
 mod operations;
 mod places;
 mod segments;

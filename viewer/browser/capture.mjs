@@ -30,8 +30,41 @@ async function insecure(browser, { newPage, passed }, server) {
   passed('a page that is not secure says that it gets no camera, and what to do');
 }
 
+/** Gives the page motion sensors that tell something new a hundred times a second. */
+async function shaken(page) {
+  const client = await page.context().newCDPSession(page);
+  const types = ['gyroscope', 'accelerometer'];
+  for (const type of types) {
+    await client.send('Emulation.setSensorOverrideEnabled', { enabled: true, type, metadata: { available: true } });
+  }
+  let n = 0;
+  const timer = setInterval(() => {
+    n += 1;
+    const readings = [{ x: 0.25, y: -0.5, z: n / 1000 }, { x: n / 1000, y: -9.5, z: 1.5 }];
+    types.forEach((type, i) => client.send('Emulation.setSensorOverrideReadings', { type, reading: { xyz: readings[i] } }).catch(() => {}));
+  }, 10);
+  return () => clearInterval(timer);
+}
+
+/** What the sensors said is kept, each reading once. */
+async function checkMotion(server, passed) {
+  const [head, ...lines] = (await (await fetch(`${server.url}/v1/sessions/phone/motion`)).text()).trim().split('\n');
+  assert.match(head, /^#timestamp/);
+  assert.ok(lines.length > 60, `${lines.length} readings`);
+  const readings = lines.map((line) => line.split(','));
+  // Browsers round what sensors say.
+  const near = (value, wanted) => Math.abs(Number(value) - wanted) < 0.01;
+  for (const reading of readings) {
+    const [, p, q, , , y, z] = reading;
+    assert.ok(near(p, 0.25) && near(q, -0.5) && near(y, -9.5) && near(z, 1.5), reading.join());
+  }
+  readings.slice(1).forEach(([ns], i) => assert.ok(BigInt(ns) > BigInt(readings[i][0]), 'each once, in order'));
+  passed(`the motion sensors' readings are kept: ${lines.length}`);
+}
+
 async function mapped(browser, { newPage, check, picture, passed, forgetComplaints }, server, fovDeg) {
-  const page = await newPage(browser, { viewport: { width: 390, height: 780 }, permissions: ['camera'], colorScheme: 'light' });
+  const page = await newPage(browser, { viewport: { width: 390, height: 780 }, permissions: ['camera', 'accelerometer', 'gyroscope'], colorScheme: 'light' });
+  const calm = await shaken(page);
   await page.goto(`${server.url}/#/`);
   await page.getByRole('link', { name: 'Use this device’s camera' }).click();
   await page.getByLabel('Name of the session').fill('phone');
@@ -66,6 +99,8 @@ async function mapped(browser, { newPage, check, picture, passed, forgetComplain
   assert.ok(said > before);
   assert.equal(session.n_frames, said, 'each picture is in the session once, although the server was killed');
   assert.equal(session.has_writer, false);
+  calm();
+  await checkMotion(server, passed);
   await page.getByRole('link', { name: 'See the map' }).click();
   await page.waitForFunction(() => document.querySelector('.waiting')?.hidden);
   passed(`the camera's frames became a map: ${session.n_frames} frames, ${session.n_keyframes} keyframes, ${session.n_points} points`);

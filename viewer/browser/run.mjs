@@ -14,13 +14,12 @@ import { pathToFileURL } from 'node:url';
 import { chromium } from 'playwright-core';
 import { access } from './access.mjs';
 import { capture } from './capture.mjs';
+import { browserPath, FLAGS } from './chromium.mjs';
 import { demonstration, emptyServer, PROGRAMS } from './servers.mjs';
 
 const AXE = createRequire(import.meta.url).resolve('axe-core/axe.min.js');
 const FRAMES = Number(process.env.FRAMES ?? 150);
 const pictures = process.argv.includes('--pictures') ? process.argv[process.argv.indexOf('--pictures') + 1] : null;
-const browserPath = process.env.CHROMIUM ?? execFileSync('sh', ['-c', 'command -v chromium || command -v chromium-browser']).toString().trim();
-const FLAGS = ['--headless', '--no-sandbox', '--disable-gpu', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync'];
 
 let n_passed = 0;
 const complaints = [];

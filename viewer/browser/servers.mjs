@@ -32,9 +32,8 @@ function ended(child) {
   return new Promise((resolve) => (child.exitCode === null ? child.once('exit', resolve) : resolve()));
 }
 
-/** A server over an empty database; it can be stopped and started again at the same address. */
-export async function emptyServer() {
-  const data = mkdtempSync(join(tmpdir(), 'monoslam-viewer-'));
+/** A server over the database of a folder; it can be stopped and started again at the same address. */
+export async function serverOver(data) {
   const [grpc, http] = [`127.0.0.1:${await freePort()}`, `127.0.0.1:${await freePort()}`];
   const url = `http://${http}`;
   let child = null;
@@ -47,16 +46,23 @@ export async function emptyServer() {
     child.kill('SIGKILL');
     await ended(child);
   };
-  const remove = async () => {
-    await stop();
-    rmSync(data, { recursive: true, force: true });
-  };
   const makeToken = (name) => {
     const options = ['token', 'create', name, '--data-dir', data];
     return execFileSync(join(PROGRAMS, 'monoslam-server'), options, { stdio: ['ignore', 'pipe', 'ignore'] }).toString().trim();
   };
   await start();
-  return { url, start, stop, remove, makeToken };
+  return { url, start, stop, makeToken };
+}
+
+/** A server over an empty database. */
+export async function emptyServer() {
+  const data = mkdtempSync(join(tmpdir(), 'monoslam-viewer-'));
+  const server = await serverOver(data);
+  const remove = async () => {
+    await server.stop();
+    rmSync(data, { recursive: true, force: true });
+  };
+  return { ...server, remove };
 }
 
 /** The demonstration: a server that a synthetic room is being streamed through. */
@@ -81,7 +87,7 @@ export async function demonstration(frames) {
     await ended(child);
     clearTimeout(patience);
   };
-  return { grpc, url, remove };
+  return { grpc, url, pid: child.pid, remove };
 }
 
 /** A server that is shared with a phone; `link` is what its QR code says. */

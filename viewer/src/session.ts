@@ -143,7 +143,7 @@ export class SessionPage {
       if (keyframe !== null) this.#change({ keyframe });
       return;
     }
-    const found = pickPoint(this.#view, this.#scene, at);
+    const found = pickPoint(this.#view, at);
     const row = found && this.#scene.points.get(found.id);
     if (!row) {
       announce('There is no point here.');

@@ -1,6 +1,7 @@
 import { describe, expect, it } from 'vitest';
 import { assumedCamera, correctedAngle, focalOfAngle } from '../src/capture/advice';
 import { frameSize } from '../src/capture/camera';
+import { lineOf } from '../src/capture/motion';
 import { Ledger, MAX_HELD_BYTES, WINDOW, type Shot } from '../src/capture/ledger';
 
 const shot = (bytes = 10): Shot => ({ timestampNs: 0n, image: { size: bytes } as Blob });
@@ -91,4 +92,9 @@ describe('the lens', () => {
     expect(frameSize(640, 480)).toEqual([640, 480]);
     expect(frameSize(1080, 1920)).toEqual([540, 960]);
   });
+});
+
+it('readings of motion sensors are lines of a EuRoC recording', () => {
+  const line = lineOf(123.4567, 1_700_000_000_000, [0.1, -0.25, 1 / 3], [0, -9.81, 1e-9]);
+  expect(line).toBe('1700000000123457000,0.1,-0.25,0.3333333,0,-9.81,1e-9');
 });

@@ -3,7 +3,7 @@ import { palette, primitiveColor, shade, stateColor, submapColor } from '../src/
 import type { Pose } from '../src/data/parts';
 import { Scene, type FrameRow } from '../src/data/scene';
 import { placeSubmaps, wholeExtent } from '../src/map/layout';
-import { MAX_PRIMITIVE_PAIRS, primitivePairs, transform, trajectoryStrokes } from '../src/map/shapes';
+import { MAX_PRIMITIVE_PAIRS, pointArrays, primitivePairs, spreadingStep, transform, trajectoryStrokes } from '../src/map/shapes';
 import { metresPerUnit } from '../src/panels/measure';
 import { frameText, spans } from '../src/panels/timeline';
 
@@ -15,7 +15,7 @@ function sceneOf(submaps: number[]): Scene {
     scene.keyframes.set(i + 1, { id: i + 1, submap, sequence: i, pose: poseAt(i), hasImage: false });
     for (let n = 0; n < 100; n += 1) {
       const id = 100 * i + n;
-      scene.points.set(id, { id, submap, position: [n / 10, 0, n === 7 ? 1e6 : 1], gray: null, createdBy: 1 });
+      scene.points.set(id, submap, [n / 10, 0, n === 7 ? 1e6 : 1], null, 1);
     }
   });
   return scene;
@@ -44,6 +44,16 @@ describe('the map', () => {
     expect(second!.min[0] + second!.offset[0]).toBeGreaterThan(first!.max[0]);
     expect(wholeExtent(placements)!.max[2]).toBeLessThan(10);
     expect(wholeExtent([])).toBeNull();
+  });
+
+  test('each beginning of the points is spread over the map, and none is left out', () => {
+    const scene = sceneOf([0, 0]);
+    const { ids, positions } = pointArrays(scene, () => [1, 0, 0], 'dark');
+    expect(Array.from(ids).sort((a, b) => a - b)).toEqual(Array.from({ length: 200 }, (_, i) => i));
+    expect(positions[0]).toBeCloseTo((ids[0]! % 100) / 10 + 1, 5);
+    const first = Array.from(ids.subarray(0, 20)).map((id) => Math.floor(id / 20));
+    expect(new Set(first).size).toBeGreaterThan(8);
+    [1, 2, 3, 8, 1000, 1_000_000].forEach((n) => expect(spreadingStep(n)).toBeGreaterThan(0));
   });
 
   test('poses turn and move points', () => {

@@ -49,7 +49,9 @@ fn note_status(span: &Span, response: &Response, interface: Interface) {
                 .headers()
                 .get("grpc-status")
                 .and_then(|code| code.to_str().ok()?.parse::<i64>().ok());
-            code.inspect(|code| drop(span.record("rpc.grpc.status_code", code)));
+            if let Some(code) = code {
+                span.record("rpc.grpc.status_code", code);
+            }
             code.is_some_and(|code| code != 0)
         }
     };

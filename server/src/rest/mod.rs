@@ -13,6 +13,7 @@ mod localize;
 mod map;
 mod masks;
 mod model;
+mod motion;
 mod operations;
 mod place;
 mod points;
@@ -55,6 +56,8 @@ pub use trajectory::{Format, TrajectoryWriter};
 
 /// Largest request body but for images: requests are a calibration and a few options.
 const MAX_BODY_BYTES: usize = 64 << 10;
+/// Largest request with readings of motion sensors: 10,000 lines of two hundred letters.
+const MAX_MOTION_BYTES: usize = 2 << 20;
 /// Largest request with reference positions: 100 000 rows of a hundred letters.
 const MAX_POSITIONS_BYTES: usize = 10 << 20;
 
@@ -124,6 +127,7 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
         .routes(routes!(operations::get))
         .routes(routes!(operations::cancel))
         .routes(routes!(masks::get, masks::put, masks::delete).layer(DefaultBodyLimit::max(max_image_bytes)))
+        .routes(routes!(motion::add, motion::get).layer(DefaultBodyLimit::max(MAX_MOTION_BYTES)))
         .routes(routes!(scene::picture))
         .routes(routes!(events::events))
         .routes(routes!(stream::stream))

@@ -110,6 +110,16 @@ impl Service {
         Ok(format!("{:016x}", hasher.finish()))
     }
 
+    /// Keeps what the motion sensors of a session's device measured; how many readings.
+    ///
+    /// # Errors
+    /// If there is none of this id, the caller has stored as much as it may, or a line is no reading.
+    pub async fn add_motion(&self, caller: &Caller, id: &SessionId, lines: &str) -> Result<usize, ApiError> {
+        self.registry.check_open()?;
+        check_stored_bytes(&self.store, caller).await?;
+        self.motion().add(id, lines).await
+    }
+
     /// Begins global bundle adjustment of a session's map.
     ///
     /// # Errors

@@ -1,6 +1,7 @@
 //! Packed values: little-endian, each beginning with a byte that tells its format version.
 
 mod features;
+mod motion;
 mod observations;
 mod reader;
 mod vanishing;
@@ -8,6 +9,7 @@ mod vanishing;
 pub(crate) use features::{
     FeatureSettings, MeasuredCounts, check_features, decode_features, encode_features, measured, positions,
 };
+pub(crate) use motion::{decode_motion, encode_motion};
 pub(crate) use observations::{decode_observations, encode_observations};
 pub(crate) use vanishing::{decode_covariance, decode_vanishing, encode_covariance, encode_vanishing};
 

@@ -34,6 +34,10 @@ impl<'a> Reader<'a> {
         self.array().map(u64::from_le_bytes)
     }
 
+    pub fn f32(&mut self) -> Result<f32, BlobError> {
+        self.array().map(f32::from_le_bytes)
+    }
+
     pub fn f64(&mut self) -> Result<f64, BlobError> {
         self.array().map(f64::from_le_bytes)
     }

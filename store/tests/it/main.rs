@@ -26,6 +26,7 @@ mod check;
 mod durability;
 mod graph;
 mod lines;
+mod motion;
 mod on_postgres;
 mod primitives;
 mod queries;

@@ -9,6 +9,7 @@ import { h } from '../dom';
 import { setUpTheme } from '../theme';
 import { assumedCamera, DEFAULT_FOV_DEG, FOV_RANGE_DEG } from './advice';
 import { Camera, cameraProblem } from './camera';
+import { allowMotion } from './motion';
 import { Recording } from './recording';
 
 const FOV_KEY = 'monoslam-fov-deg';
@@ -78,6 +79,7 @@ async function begin(name: string, fovDeg: number): Promise<void> {
   rememberFov(fovDeg);
   let camera: Camera | null = null;
   try {
+    await allowMotion();
     camera = await Camera.open();
     const id = await createSession(name, ...camera.size, fovDeg);
     history.replaceState(null, '', `/capture#${encodeURIComponent(id)}`);

@@ -4,6 +4,7 @@ import { formatAddress, openSession } from '../address';
 import { announce, count, h } from '../dom';
 import { ADVICE, correctedAngle, MEANING } from './advice';
 import type { Camera } from './camera';
+import { MotionSensors } from './motion';
 import { FrameStream, type FrameAnswer } from './stream';
 
 /** Keeps the screen on; without it the camera stops after half a minute. */
@@ -31,6 +32,7 @@ export class Recording {
   readonly #size: [number, number];
   readonly #stream: FrameStream;
   readonly #awake = keepAwake();
+  readonly #motion: MotionSensors;
   #nKeyframes = 0;
   #isConnected = false;
 
@@ -41,6 +43,7 @@ export class Recording {
     onEnd: (error: string | null) => void,
   ) {
     this.#size = camera.size;
+    this.#motion = new MotionSensors(id);
     const map = h('a', { href: `/${formatAddress(openSession(id))}`, target: '_blank', rel: 'noopener' }, 'Map');
     const texts = h('div', { class: 'over' }, this.#advice, this.#meaning, this.#lens);
     const bar = h('div', { class: 'bar' }, this.#figures, map, this.#stop);
@@ -109,6 +112,7 @@ export class Recording {
 
   #release(): void {
     this.camera.stop();
+    this.#motion.stop();
     void this.#awake.then((lock) => lock?.release());
   }
 }

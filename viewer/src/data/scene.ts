@@ -1,6 +1,7 @@
 /** A session's map and trajectory as the page holds it, brought up to date part by part. */
 
 import type { State } from './api';
+import { PointTable } from './points';
 import type { FrameColumns, Pose, ScenePart } from './parts';
 
 export interface KeyframeRow {
@@ -26,14 +27,6 @@ export interface LineRow {
   createdBy: number;
 }
 
-export interface PointRow {
-  id: number;
-  submap: number;
-  position: [number, number, number];
-  gray: number | null;
-  createdBy: number;
-}
-
 export interface FrameRow {
   sequence: number;
   timeS: number;
@@ -49,7 +42,7 @@ export class Scene {
   readonly keyframes = new Map<number, KeyframeRow>();
   readonly primitives = new Map<number, PrimitiveRow>();
   readonly lines = new Map<number, LineRow>();
-  readonly points = new Map<number, PointRow>();
+  readonly points = new PointTable();
   readonly frames = new Map<number, FrameRow>();
   frustum: [number, number, number, number] = [0.6, 0.45, -0.6, -0.45];
   metresPerUnit: number | null = null;
@@ -144,13 +137,7 @@ export class Scene {
       }),
     );
     points?.ids.forEach((id, i) =>
-      this.points.set(id, {
-        id,
-        submap: points.submap_ids[i]!,
-        position: points.positions[i]!,
-        gray: points.grays[i]!,
-        createdBy: points.created_by[i]!,
-      }),
+      this.points.set(id, points.submap_ids[i]!, points.positions[i]!, points.grays[i]!, points.created_by[i]!),
     );
     if (frames) this.#applyFrames(frames);
   }

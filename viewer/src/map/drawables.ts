@@ -45,6 +45,11 @@ export class PointCloud {
     this.object.geometry = geometry;
   }
 
+  /** Draws so many points at most, spread over the map. */
+  limit(n: number): void {
+    this.object.geometry.setDrawRange(0, n);
+  }
+
   showUpTo(newest: number): void {
     this.#material.uniforms['newest']!.value = Math.min(newest, 1e9);
   }

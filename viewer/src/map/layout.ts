@@ -17,25 +17,39 @@ const STRAY_SHARE = 0.02;
 /** Room between two submaps, as a share of the larger one. */
 const GAP_SHARE = 0.4;
 
-function range(values: number[]): [number, number] {
+function range(values: Float32Array): [number, number] {
   if (values.length === 0) return [0, 0];
-  values.sort((a, b) => a - b);
+  values.sort();
   const skipped = Math.floor(values.length * STRAY_SHARE);
   return [values[skipped]!, values[values.length - 1 - skipped]!];
 }
 
-/** The box most of a submap is in. */
-function extent(scene: Scene, submap: number): { min: Triple; max: Triple } {
-  const axes: [number[], number[], number[]] = [[], [], []];
-  for (const point of scene.points.values()) {
-    if (point.submap === submap) axes.forEach((axis, i) => axis.push(point.position[i]!));
+/** Points of a submap that are looked at for its size, at most: more would not change it. */
+const MAX_SAMPLED = 50_000;
+
+/** Rows of points by their submap, of a large map one in so many. */
+function sampleRows({ points }: Scene): Map<number, number[]> {
+  const rows = new Map<number, number[]>();
+  const step = Math.ceil(points.size / MAX_SAMPLED);
+  for (let i = 0; i < points.size; i += step) {
+    const submap = points.submaps[i]!;
+    const known = rows.get(submap);
+    if (known) known.push(i);
+    else rows.set(submap, [i]);
   }
+  return rows;
+}
+
+/** The box most of a submap is in. */
+function extent(scene: Scene, submap: number, rows: number[]): { min: Triple; max: Triple } {
+  const { positions } = scene.points;
+  const axes = [0, 1, 2].map((axis) => Float32Array.from(rows, (row) => positions[3 * row + axis]!));
   const ranges = axes.map(range);
   for (const keyframe of scene.keyframes.values()) {
     if (keyframe.submap !== submap) continue;
     ranges.forEach((ends, i) => {
       const place = keyframe.pose[i]!;
-      const empty = axes[0].length === 0 && ends[0] === 0 && ends[1] === 0;
+      const empty = rows.length === 0 && ends[0] === 0 && ends[1] === 0;
       ranges[i] = empty ? [place, place] : [Math.min(ends[0]!, place), Math.max(ends[1]!, place)];
     });
   }
@@ -46,8 +60,9 @@ function extent(scene: Scene, submap: number): { min: Triple; max: Triple } {
 /** Places every submap: the first where it is, the others to its right. */
 export function placeSubmaps(scene: Scene): Placement[] {
   const placements: Placement[] = [];
+  const rows = sampleRows(scene);
   for (const submap of scene.submaps()) {
-    const { min, max } = extent(scene, submap);
+    const { min, max } = extent(scene, submap, rows.get(submap) ?? []);
     const before = placements.at(-1);
     let offset: Triple = [0, 0, 0];
     if (before) {

@@ -48,12 +48,12 @@ export function pickKeyframe(view: MapView, scene: Scene, at: ScreenPlace): numb
 }
 
 /** The point of the map under the pointer. */
-export function pickPoint(view: MapView, scene: Scene, at: ScreenPlace): { id: number; position: Triple } | null {
+export function pickPoint(view: MapView, at: ScreenPlace): { id: number; position: Triple } | null {
   function* points(): Generator<[number, Triple]> {
     const p = view.pointPositions;
     for (let i = 0; i < view.pointIds.length; i += 1) {
       // What is not drawn yet cannot be meant.
-      if ((scene.points.get(view.pointIds[i]!)?.createdBy ?? Infinity) > view.newestKeyframe) continue;
+      if (view.pointBornIds[i]! > view.newestKeyframe) continue;
       yield [view.pointIds[i]!, [p[3 * i]!, p[3 * i + 1]!, p[3 * i + 2]!]];
     }
   }

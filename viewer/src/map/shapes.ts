@@ -60,21 +60,36 @@ export interface PointArrays {
   positions: Float32Array;
   shades: Float32Array;
   bornIds: Float32Array;
-  ids: number[];
+  ids: Float64Array;
 }
 
+/** How far apart in the table points lie that follow one another, so that the first of any number of them are spread
+ * over the whole map: near the golden section, and prime to `n`. */
+export function spreadingStep(n: number): number {
+  const divisor = (a: number, b: number): number => (b === 0 ? a : divisor(b, a % b));
+  let step = Math.max(1, Math.round(0.618 * n));
+  while (divisor(step, n) > 1) step += 1;
+  return step;
+}
+
+/** Points as they are drawn, each beginning of them spread over the map. */
 export function pointArrays(scene: Scene, offsetOf: OffsetOf, theme: Theme): PointArrays {
-  const n = scene.points.size;
-  const arrays = { positions: new Float32Array(3 * n), shades: new Float32Array(n), bornIds: new Float32Array(n), ids: [] as number[] };
-  let i = 0;
-  for (const point of scene.points.values()) {
-    arrays.positions.set(plus(point.position, offsetOf(point.submap)), 3 * i);
-    arrays.shades[i] = shade(point.gray, theme);
-    arrays.bornIds[i] = point.createdBy;
-    arrays.ids.push(point.id);
-    i += 1;
+  const { points } = scene;
+  const n = points.size;
+  const [positions, shades] = [new Float32Array(3 * n), new Float32Array(n)];
+  const [bornIds, ids] = [new Float32Array(n), new Float64Array(n)];
+  const offsets = new Map<number, Triple>();
+  const step = spreadingStep(n);
+  for (let i = 0, row = 0; i < n; i += 1, row = (row + step) % n) {
+    const submap = points.submaps[row]!;
+    let offset = offsets.get(submap);
+    if (!offset) offsets.set(submap, (offset = offsetOf(submap)));
+    for (let axis = 0; axis < 3; axis += 1) positions[3 * i + axis] = points.positions[3 * row + axis]! + offset[axis]!;
+    shades[i] = shade(points.grayAt(row), theme);
+    bornIds[i] = points.createdBy[row]!;
+    ids[i] = points.ids[row]!;
   }
-  return arrays;
+  return { positions, shades, bornIds, ids };
 }
 
 /** Lines made by keyframes up to `newest`, colored by their global primitives. */

@@ -16,6 +16,11 @@ const FRUSTUM_SHARE = 0.025;
 /** Distance of the eye from the middle of everything, in radii of what just fits: room for the legend. */
 const FRAMING = 0.95;
 
+/** Points that are drawn while the eye moves, at most, and how long after that all are, ms: a million take a processor
+ * without a graphics card a second. */
+const MOVING_POINTS = 150_000;
+const RESTING_MS = 250;
+
 /** Width of the legend over the left of the map, pixels: the middle of the view lies right of it; on narrow screens the
  * legend is closed. */
 const LEGEND_PX = 250;
@@ -36,7 +41,8 @@ export class MapView {
   readonly camera = new THREE.PerspectiveCamera(50, 1, 0.01, 1000);
   readonly controls: OrbitControls;
   placements: Placement[] = [];
-  pointIds: number[] = [];
+  pointIds: Float64Array = new Float64Array();
+  pointBornIds: Float32Array = new Float32Array();
   pointPositions: Float32Array = new Float32Array();
   newestKeyframe = 0;
   /** Called when the reader has moved the eye. */
@@ -55,6 +61,7 @@ export class MapView {
   readonly #observer: ResizeObserver;
   #framed = false;
   #pending = false;
+  #resting = 0;
   #size = 1;
   primitiveEdges = { drawn: 0, total: 0 };
 
@@ -65,7 +72,7 @@ export class MapView {
     // The world's y points down, as in the first image.
     this.camera.up.set(0, -1, 0);
     this.controls = new OrbitControls(this.camera, this.canvas);
-    this.controls.addEventListener('change', () => this.draw());
+    this.controls.addEventListener('change', () => this.#drawMoving());
     this.controls.addEventListener('end', () => this.tellEye());
     const drawables = [this.#points, this.#lines, this.#trajectory, this.#backfilled, this.#keyframes];
     drawables.push(this.#covisibility, this.#primitives, this.#camera, this.#marks);
@@ -75,6 +82,7 @@ export class MapView {
   }
 
   dispose(): void {
+    clearTimeout(this.#resting);
     this.#observer.disconnect();
     this.controls.dispose();
     this.#renderer.dispose();
@@ -100,6 +108,7 @@ export class MapView {
     const arrays = pointArrays(this.scene, this.offsetOf, theme());
     this.pointIds = arrays.ids;
     this.pointPositions = arrays.positions;
+    this.pointBornIds = arrays.bornIds;
     this.#points.set(arrays);
   }
 
@@ -211,6 +220,19 @@ export class MapView {
       this.#pending = false;
       this.#renderer.render(this.#world, this.camera);
     });
+  }
+
+  /** As `draw`, with as many points as can be drawn fluently until the eye rests. */
+  #drawMoving(): void {
+    if (this.pointIds.length > MOVING_POINTS) {
+      this.#points.limit(MOVING_POINTS);
+      clearTimeout(this.#resting);
+      this.#resting = window.setTimeout(() => {
+        this.#points.limit(Infinity);
+        this.draw();
+      }, RESTING_MS);
+    }
+    this.draw();
   }
 
   #resize(): void {
