@@ -139,7 +139,9 @@ fn look_after(folder: &Path) {
     );
     let mut shell = Command::new("sh");
     shell.arg("-c").arg(script).arg("sh").args(words).current_dir(folder).process_group(0);
-    quiet(&mut shell).spawn().expect("a shell starts");
+    let mut shell = quiet(&mut shell).spawn().expect("a shell starts");
+    // It outlives this process, unless tests go on for long.
+    std::thread::spawn(move || shell.wait());
 }
 
 fn server_command(folder: &Path) -> Command {
