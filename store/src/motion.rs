@@ -1,4 +1,5 @@
-//! What the motion sensors of a session's device measured: kept for who works with it, not used by the engine.
+//! What the motion sensors of a session's device measured: kept for who works with it, not used by the
+//! engine.
 
 use crate::blob::{decode_motion, encode_motion};
 use crate::engine::query;

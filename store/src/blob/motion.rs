@@ -1,7 +1,7 @@
 //! Readings of motion sensors.
 //!
-//! Version 1: `u8` version, then for each reading `i64` its time in nanoseconds, three `f32` angular velocity and
-//! three `f32` acceleration.
+//! Version 1: `u8` version, then for each reading `i64` its time in nanoseconds, three `f32` angular velocity
+//! and three `f32` acceleration.
 
 use super::BlobError;
 use super::reader::Reader;
