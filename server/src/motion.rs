@@ -1,4 +1,5 @@
-//! What the motion sensors of a session's device measured: taken in and given out as EuRoC recordings have it.
+//! What the motion sensors of a session's device measured: taken in and given out as EuRoC recordings have
+//! it.
 //!
 //! Lines of `timestamp [ns],w_x,w_y,w_z [rad s^-1],a_x,a_y,a_z [m s^-2]`; lines that begin with `#` are
 //! comments.

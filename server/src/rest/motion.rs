@@ -21,10 +21,10 @@ pub(super) struct Added {
     n_readings: usize,
 }
 
-/// Keeps what the motion sensors of the session's device measured. The body has lines as the `imu0/data.csv` of
-/// EuRoC recordings: a time in nanoseconds by the clock of the frames, three angular velocities (rad/s) and
-/// three accelerations (m/s², gravity included), in the axes of the device; at most 10,000. Sent once more they
-/// are kept once. The map does not use them.
+/// Keeps what the motion sensors of the session's device measured. The body has lines as the `imu0/data.csv`
+/// of EuRoC recordings: a time in nanoseconds by the clock of the frames, three angular velocities (rad/s)
+/// and three accelerations (m/s², gravity included), in the axes of the device; at most 10,000. Sent once
+/// more they are kept once. The map does not use them.
 #[utoipa::path(post, path = "/v1/sessions/{id}/motion", tag = "sessions", params(("id", description = "The session's id")),
     request_body(content = String, content_type = "text/csv"), responses(
     (status = 200, description = "They are saved", body = Added),

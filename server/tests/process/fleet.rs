@@ -13,18 +13,18 @@ use tonic::{Code, Status};
 use tonic_types::StatusExt;
 
 /// How long a session stays a server's that is not heard of, in these tests.
-const LEASE: Duration = Duration::from_secs(2);
+pub const LEASE: Duration = Duration::from_secs(2);
 /// Longer than it may take until another has the session.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-fn server_of_fleet(url: &str, folder: &Path) -> ServerProcess {
+pub fn server_of_fleet(url: &str, folder: &Path) -> ServerProcess {
     ServerProcess::start_with(folder, |command| {
         command.env("MONOSLAM_STORAGE__URL", url).env("MONOSLAM_FLEET__LEASE_S", LEASE.as_secs().to_string());
     })
 }
 
 /// What an error of the server is called, and where it says the session's server is.
-fn reason(status: &Status) -> (String, Option<String>) {
+pub fn reason(status: &Status) -> (String, Option<String>) {
     let details = status.get_error_details();
     let info = details.error_info().unwrap_or_else(|| panic!("not the server's: {status:?}"));
     (info.reason.clone(), info.metadata.get("grpc_url").cloned())

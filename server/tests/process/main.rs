@@ -5,6 +5,7 @@ mod crash;
 mod database;
 mod faults;
 mod fleet;
+mod fleet_kills;
 mod idle;
 mod load;
 mod manager;
