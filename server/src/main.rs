@@ -3,7 +3,8 @@
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use server::{
-    Config, ConfigArgs, ConfigCommand, Hangups, Manager, QuickShare, Server, TokenCommand, UpkeepCommand,
+    Config, ConfigArgs, ConfigCommand, Hangups, Manager, MigrateCommand, QuickShare, Server, TokenCommand,
+    UpkeepCommand,
 };
 use std::io::IsTerminal;
 use std::sync::Arc;
@@ -29,6 +30,7 @@ enum Command {
     /// Makes, lists and revokes tokens, also while a server runs
     #[command(subcommand)]
     Token(TokenCommand),
+    Migrate(MigrateCommand),
     /// Checks the configuration, or shows where each of its values comes from
     #[command(subcommand)]
     Config(ConfigCommand),
@@ -47,6 +49,7 @@ fn main() -> anyhow::Result<()> {
     let outcome = match command {
         None => runtime.block_on(serve(config, arguments, quick_share)),
         Some(Command::Upkeep(command)) => runtime.block_on(command.run(&config, &mut std::io::stdout())),
+        Some(Command::Migrate(command)) => runtime.block_on(command.run(&mut std::io::stdout())),
         Some(Command::Config(command)) => command.run(&config, &arguments, &mut std::io::stdout()),
         Some(Command::Health) => runtime.block_on(server::probe(&config, &mut std::io::stdout())),
         Some(Command::Token(command)) => runtime.block_on(command.run(&config, &mut std::io::stdout())),

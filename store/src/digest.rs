@@ -38,7 +38,7 @@ impl fmt::Display for Digest {
 /// Every table with every column but the session's number and name and wall-clock time, ordered by key; of
 /// cells, which follow from the rows and which [`Store::check`] compares with them, which there are.
 /// Parameter 1 is the session's number, 2 the mask of a point's id in a key.
-const TABLES: [(&str, &str); 13] = [
+const TABLES: [(&str, &str); 14] = [
     (
         "sessions",
         "SELECT camera, options, state, last_sequence, last_timestamp_ns, last_keyframe_id, last_point_id, last_line_id,
@@ -100,6 +100,10 @@ const TABLES: [(&str, &str); 13] = [
         "segments",
         "SELECT first_sequence, ahead_ns FROM segments WHERE session = $1 ORDER BY first_sequence",
     ),
+    (
+        "motion",
+        "SELECT first_ns, n_readings, readings FROM motion WHERE session = $1 ORDER BY first_ns",
+    ),
 ];
 
 impl Store {
@@ -110,12 +114,20 @@ impl Store {
     pub async fn digest(&self, session: &str) -> Result<Digest, StoreError> {
         let mut transaction = self.begin_read().await?;
         let number = session_number(&mut transaction, session).await?;
+        let digest = Digest::read(&mut transaction, number).await?;
+        transaction.commit().await?;
+        Ok(digest)
+    }
+}
+
+impl Digest {
+    /// Of the session of this number; the connection should be in a transaction.
+    pub(crate) async fn read(connection: &mut Connection, session: i64) -> Result<Self, StoreError> {
         let mut tables = Vec::with_capacity(TABLES.len());
         for (table, sql) in TABLES {
-            tables.push(digest_table(&mut transaction, table, sql, number).await?);
+            tables.push(digest_table(connection, table, sql, session).await?);
         }
-        transaction.commit().await?;
-        Ok(Digest(tables))
+        Ok(Self(tables))
     }
 }
 

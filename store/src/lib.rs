@@ -54,6 +54,7 @@
 mod backup;
 mod blob;
 mod check;
+mod copy;
 mod delete;
 mod descriptors;
 mod digest;
@@ -88,6 +89,7 @@ mod trajectory;
 
 pub use backup::Verified;
 pub use check::Finding;
+pub use copy::Copied;
 pub use digest::{Digest, TableDigest};
 pub use error::StoreError;
 pub use frames::{FrameEntry, FramePlace};

@@ -2,7 +2,7 @@
 //! lost.
 
 use crate::crash::stream;
-use crate::program::ServerProcess;
+use crate::program::{ServerProcess, run, said};
 use proto::v1;
 use proto::v1::stream_frames_request::Message as Request;
 use proto::v1::stream_frames_response::Message as Response;
@@ -71,6 +71,58 @@ mod postgres {
         );
         assert!(server.terminate(), "the server ends well when asked to");
         assert_sound(&url).await;
+    }
+
+    /// A server's data folder moves to PostgreSQL and back, and the session goes on in each.
+    #[tokio::test(flavor = "multi_thread")]
+    #[ignore = "needs PostgreSQL"]
+    async fn a_data_folder_moves_to_postgresql_and_back() {
+        let (url, folders) = (shared_database(), [(); 3].map(|()| tempfile::tempdir().unwrap()));
+        let [first, second, third] = &folders;
+        let world = SmallWorld::new(1);
+        let server = ServerProcess::start(first.path());
+        let mut client = server.client().await;
+        create_session(&mut client, "room", world.camera()).await.unwrap();
+        let mut frames = FrameStream::open(&mut client, open_message("room")).await.unwrap();
+        stream(&mut frames, &world, 0, 40).await;
+        frames.finish().await.unwrap();
+        let place = |folder: &tempfile::TempDir| format!("sqlite:{}", folder.path().display());
+        let migrate = |from: &str, to: &str| run(&["migrate", "--from", from, "--to", to]);
+        let output = migrate(&place(first), &url);
+        assert!(
+            !output.status.success() && said(&output).contains("another server uses"),
+            "{}",
+            said(&output)
+        );
+        assert!(server.terminate());
+
+        let output = migrate(&place(first), &url);
+        assert!(output.status.success() && said(&output).contains("room: copied"), "{}", said(&output));
+        let server = server_on(&url, second.path());
+        let mut client = server.client().await;
+        let mut frames = FrameStream::open(&mut client, open_message("room")).await.unwrap();
+        let next = frames.opened.next_sequence as usize;
+        assert!(next >= 40 && frames.opened.n_keyframes >= 2, "{:?}", frames.opened);
+        let answers = stream(&mut frames, &world, next, 20).await;
+        let is_tracked = |answer: &v1::FrameResult| answer.state() == v1::TrackingState::Tracked;
+        assert!(answers.iter().any(is_tracked), "it does not find its place again");
+        frames.finish().await.unwrap();
+        let output = migrate(&url, &place(third));
+        assert!(!output.status.success() && said(&output).contains("servers work"), "{}", said(&output));
+        assert!(server.terminate());
+
+        for words in ["room: copied", "room: is there already"] {
+            let output = migrate(&url, &place(third));
+            assert!(output.status.success() && said(&output).contains(words), "{}", said(&output));
+        }
+        crate::program::check(third.path());
+        let server = ServerProcess::start(third.path());
+        let request = v1::GetSessionRequest { session_id: "room".into() };
+        let session = server.client().await.get_session(request).await.unwrap().into_inner();
+        assert!(session.n_frames > next as u64);
+        let output = migrate(&url, "mysql://h/db");
+        assert!(!output.status.success() && said(&output).contains("expected"), "{}", said(&output));
+        assert!(server.terminate());
     }
 
     #[tokio::test(flavor = "multi_thread")]

@@ -16,17 +16,17 @@ const CHUNK_SIZES: [usize; 4] = [128, 32, 8, 1];
 const POSTGRES_ROWS: usize = 4096;
 
 /// An insertion of rows, whatever their number.
-pub(crate) struct MultiRow {
+pub(crate) struct MultiRow<'a> {
     pub table: &'static str,
     /// Their names in the order of the values, with a comma between.
-    pub columns: &'static str,
+    pub columns: &'a str,
     /// What follows the rows: what becomes of one that is there.
     pub conflict: &'static str,
     /// SQLite's virtual tables know nothing of that: there the row is replaced.
     pub is_virtual: bool,
 }
 
-impl MultiRow {
+impl MultiRow<'_> {
     /// Writes one row for each item, in their order.
     pub async fn write<T>(
         &self,

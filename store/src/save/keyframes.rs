@@ -11,7 +11,7 @@ use slam::Keyframe;
 use slam::map::{KeyframeId, MapUpdate, RemovedKeyframe};
 use std::collections::BTreeSet;
 
-const KEYFRAME_ROWS: MultiRow = MultiRow {
+const KEYFRAME_ROWS: MultiRow<'static> = MultiRow {
     table: "keyframes",
     columns: "session, id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, unit, \
               parent, n_keypoints, n_points, n_segments, n_lines",
@@ -22,7 +22,7 @@ const KEYFRAME_ROWS: MultiRow = MultiRow {
     is_virtual: false,
 };
 
-const REMOVED_ROWS: MultiRow = MultiRow {
+const REMOVED_ROWS: MultiRow<'static> = MultiRow {
     table: "removed_keyframes",
     columns: "session, id, anchor, qx, qy, qz, qw, tx, ty, tz",
     conflict: "ON CONFLICT (session, id) DO UPDATE SET anchor = excluded.anchor, qx = excluded.qx, \

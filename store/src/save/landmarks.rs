@@ -36,7 +36,7 @@ pub(super) trait Landmark: Sized + Sync {
 /// The table of a kind of landmark and the R*Tree that finds them by place.
 pub(super) struct LandmarkTables {
     /// Writes rows, also over those that are there.
-    pub rows: MultiRow,
+    pub rows: MultiRow<'static>,
     /// Tells ids, and after them what cells follow from: of a session, by a list of ids.
     pub select_places: &'static str,
     /// Deletes rows: of a session, by a list of ids.
@@ -44,7 +44,7 @@ pub(super) struct LandmarkTables {
     /// Deletes cells, by a list of keys.
     pub delete_cells: &'static str,
     /// Writes cells, also over those that are there.
-    pub cells: MultiRow,
+    pub cells: MultiRow<'static>,
 }
 
 /// Deletes removed landmarks with their cells, and changed ones that are not in the map any more.

@@ -160,7 +160,7 @@ async fn write_update(
     Ok(Committed { last_sequence: last_frame.map(|(sequence, _)| sequence), counts })
 }
 
-const FRAME_ROWS: MultiRow = MultiRow {
+const FRAME_ROWS: MultiRow<'static> = MultiRow {
     table: "frames",
     columns: "session, sequence, timestamp_ns, state, backfilled, submap, reference, reason, \
               qx, qy, qz, qw, tx, ty, tz",

@@ -8,7 +8,7 @@ use slam::Keyframe;
 use slam::map::{GlobalPrimitive, MapUpdate, Observation};
 use std::collections::BTreeMap;
 
-const PRIMITIVE_ROWS: MultiRow = MultiRow {
+const PRIMITIVE_ROWS: MultiRow<'static> = MultiRow {
     table: "primitives",
     columns: "session, id, submap, direction_x, direction_y, direction_z, covariance, \
               created_by, n_observations, observations",

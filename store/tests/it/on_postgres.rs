@@ -3,7 +3,10 @@
 use crate::world::*;
 use nalgebra::Vector3;
 use std::time::Duration;
-use store::{Bounds, LineQuery, Owner, PointQuery, SessionChanges, Store, StoreError, StoreOptions};
+use store::{
+    Bounds, Copied, KeyframeImage, LineQuery, Owner, PointQuery, SessionChanges, Store, StoreError,
+    StoreOptions,
+};
 use testkit::postgres::{Cluster, shared_database};
 
 mod postgres {
@@ -239,5 +242,77 @@ mod postgres {
             Err(StoreError::LeaseLost { .. })
         ));
         other.save_update("s", &update, TRACKED, &[]).await.unwrap();
+    }
+
+    /// There and back: every session is the same in each database, and an interrupted copy is finished.
+    #[tokio::test]
+    #[ignore = "needs PostgreSQL"]
+    async fn sessions_move_between_databases_row_by_row() {
+        let homes = [Home::file(), Home::postgres(), Home::file()];
+        let [file, server, again] =
+            [homes[0].store_with_session().await, homes[1].open().await, homes[2].open().await];
+        // A number that sessions of the other databases do not have.
+        server.create_session(&new_session("before")).await.unwrap();
+        let update = first_update(&structured(51, SMALL));
+        let image = KeyframeImage { keyframe: kf(1), media_type: "image/png".into(), bytes: vec![7; 1000] };
+        file.save_update("s", &update, TRACKED, &[image]).await.unwrap();
+        file.begin_segment("s", 500, -3).await.unwrap();
+        file.create_session(&new_session("empty")).await.unwrap();
+        let scale = SessionChanges { metres_per_unit: Some(Some(0.25)), ..SessionChanges::default() };
+        file.update_session("s", &scale).await.unwrap();
+        for (from, to) in [(&file, &server), (&server, &again)] {
+            for id in ["s", "empty"] {
+                assert_eq!(to.copy_session(from, id).await.unwrap(), Copied::Whole);
+                assert_eq!(to.copy_session(from, id).await.unwrap(), Copied::Before);
+                assert_eq!(to.digest(id).await.unwrap(), from.digest(id).await.unwrap());
+                assert_eq!(to.get_session(id).await.unwrap(), from.get_session(id).await.unwrap());
+            }
+            assert_same_parts(&load(to).await, &load(&file).await);
+            assert_eq!(
+                to.keyframe_image("s", kf(1)).await.unwrap(),
+                from.keyframe_image("s", kf(1)).await.unwrap()
+            );
+            assert_eq!(to.check().await.unwrap(), []);
+        }
+        // What a copy that was interrupted leaves behind has no name and goes when the database is opened.
+        let unfinished = "INSERT INTO sessions (camera, options, created_at_ns, state) VALUES ('', '', 0, 1) RETURNING number";
+        number(&homes[1], unfinished).await;
+        homes[1].open().await;
+        assert_eq!(number(&homes[1], "SELECT count(*) FROM sessions").await, 3);
+        // Another session of the same name stays what it is.
+        again.update_session("s", &SessionChanges { metres_per_unit: Some(None), ..scale }).await.unwrap();
+        let refused = again.copy_session(&server, "s").await;
+        assert!(matches!(refused, Err(StoreError::SessionExists { .. })), "{refused:?}");
+    }
+
+    /// What is copied is every column there is, but the session's number and name, and which server has it.
+    #[tokio::test]
+    #[ignore = "needs PostgreSQL"]
+    async fn both_databases_have_the_same_columns() {
+        let homes = [Home::file(), Home::postgres()];
+        for home in &homes {
+            home.open().await.close().await.unwrap();
+        }
+        let [Home::File(folder), Home::Postgres(url)] = &homes else { unreachable!("they were made so") };
+        let file = sqlx::SqlitePool::connect(folder.path().join("maps.db").to_str().unwrap()).await.unwrap();
+        let of_file: Vec<String> = sqlx::query_scalar(
+            "SELECT t.name || '.' || c.name FROM sqlite_schema t, pragma_table_info(t.name) c
+             WHERE t.type = 'table' AND t.name NOT LIKE '%\\_%cells\\_%' ESCAPE '\\' AND t.name NOT LIKE '\\_%' ESCAPE '\\'
+             AND t.name NOT LIKE '%cells\\_%' ESCAPE '\\' ORDER BY 1",
+        )
+        .fetch_all(&file)
+        .await
+        .unwrap();
+        let server = sqlx::PgPool::connect(url).await.unwrap();
+        let mut of_server: Vec<String> = sqlx::query_scalar(
+            "SELECT table_name || '.' || column_name FROM information_schema.columns WHERE table_schema = 'public'
+             AND table_name NOT LIKE '\\_%' AND table_name <> 'leases'",
+        )
+        .fetch_all(&server)
+        .await
+        .unwrap();
+        of_server.retain(|column| column != "sessions.epoch");
+        of_server.sort();
+        assert_eq!(of_file, of_server);
     }
 }
