@@ -24,7 +24,7 @@ impl Store {
     pub async fn add_motion(&self, id: &str, readings: &[MotionReading]) -> Result<(), StoreError> {
         let Some(first) = readings.first() else { return Ok(()) };
         let mut transaction = self.begin_write().await?;
-        let session = session_number(&mut transaction, id).await?;
+        let (session, _) = transaction.hold(id).await?;
         let insert = "INSERT INTO motion (session, first_ns, n_readings, readings) VALUES ($1, $2, $3, $4) \
              ON CONFLICT (session, first_ns) DO UPDATE SET n_readings = excluded.n_readings, \
              readings = excluded.readings";

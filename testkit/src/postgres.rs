@@ -31,6 +31,11 @@ const START_TIMEOUT: Duration = Duration::from_secs(30);
 /// Nothing here outlives a test run, so that waiting for the disk would be for nothing.
 const SETTINGS: [&str; 4] = ["fsync=off", "listen_addresses=", "shared_buffers=32MB", "max_connections=200"];
 
+/// Whether there is a PostgreSQL to start.
+pub fn is_installed() -> bool {
+    find_programs().is_some()
+}
+
 /// The URL of a new database on the server that all tests share, which is started if there is none.
 ///
 /// # Panics
@@ -134,7 +139,9 @@ fn look_after(folder: &Path) {
     );
     let mut shell = Command::new("sh");
     shell.arg("-c").arg(script).arg("sh").args(words).current_dir(folder).process_group(0);
-    quiet(&mut shell).spawn().expect("a shell starts");
+    let mut shell = quiet(&mut shell).spawn().expect("a shell starts");
+    // It outlives this process, unless tests go on for long.
+    std::thread::spawn(move || shell.wait());
 }
 
 fn server_command(folder: &Path) -> Command {
@@ -191,22 +198,21 @@ fn wait_for(folder: &Path) {
     }
 }
 
-/// Where PostgreSQL's programs are: where Debian puts those of the newest version, or on the path.
 fn programs() -> &'static Path {
     static PROGRAMS: OnceLock<PathBuf> = OnceLock::new();
-    PROGRAMS.get_or_init(|| {
-        let versions = std::fs::read_dir("/usr/lib/postgresql").into_iter().flatten().flatten();
-        let mut folders: Vec<PathBuf> = versions.map(|version| version.path().join("bin")).collect();
-        folders.sort();
-        folders.reverse();
-        let path = std::env::var_os("PATH").unwrap_or_default();
-        folders.extend(std::env::split_paths(&path));
-        let has_all = |folder: &PathBuf| {
-            ["initdb", "postgres", "createdb", "pg_isready"].iter().all(|name| folder.join(name).exists())
-        };
-        let found = folders.into_iter().find(has_all);
-        found.expect("PostgreSQL is installed")
-    })
+    PROGRAMS.get_or_init(|| find_programs().expect("PostgreSQL is installed"))
+}
+
+/// Where PostgreSQL's programs are: where Debian puts those of the newest version, or on the path.
+fn find_programs() -> Option<PathBuf> {
+    let versions = std::fs::read_dir("/usr/lib/postgresql").into_iter().flatten().flatten();
+    let mut folders: Vec<PathBuf> = versions.map(|version| version.path().join("bin")).collect();
+    folders.sort();
+    folders.reverse();
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    folders.extend(std::env::split_paths(&path));
+    let needed = ["initdb", "postgres", "createdb", "pg_isready"];
+    folders.into_iter().find(|folder| needed.iter().all(|name| folder.join(name).exists()))
 }
 
 fn give_to_system_user(folder: &Path) {

@@ -34,7 +34,9 @@ impl Connection {
     /// Runs a statement without values and answers, such as `COMMIT`.
     pub async fn command(&mut self, statement: &'static str) -> Result<(), StoreError> {
         match self {
-            Self::Sqlite(held) => drop(sqlx::raw_sql(statement).execute(&mut **held).await?),
+            Self::Sqlite(held) => {
+                sqlx::raw_sql(statement).execute(&mut **held).await?;
+            }
             Self::Postgres(held, patience) => {
                 let done = postgres::limited(*patience, sqlx::raw_sql(statement).execute(&mut **held)).await;
                 done.inspect_err(|_| held.close_on_drop())?;

@@ -64,8 +64,7 @@ impl PointQuery {
             let mut separator = " AND (";
             let radius = radius.min(MAX_COORDINATE);
             for (axis, place) in AXES.into_iter().zip(center.iter()) {
-                // Not `clamp`, which refuses what is not a number.
-                let place = &place.min(MAX_COORDINATE).max(-MAX_COORDINATE);
+                let place = &place.clamp(-MAX_COORDINATE, MAX_COORDINATE);
                 sql.push(separator).push("(").push(axis).push(" - ").push_bind(*place);
                 sql.push(") * (").push(axis).push(" - ").push_bind(*place).push(")");
                 separator = " + ";

@@ -4,8 +4,8 @@ use crate::world::*;
 use nalgebra::Vector3;
 use std::time::Duration;
 use store::{
-    Bounds, Copied, KeyframeImage, LineQuery, Owner, PointQuery, SessionChanges, Store, StoreError,
-    StoreOptions,
+    Bounds, Copied, KeyframeImage, LineQuery, MotionReading, Owner, PointQuery, SessionChanges, Store,
+    StoreError, StoreOptions,
 };
 use testkit::postgres::{Cluster, shared_database};
 
@@ -257,6 +257,12 @@ mod postgres {
         let image = KeyframeImage { keyframe: kf(1), media_type: "image/png".into(), bytes: vec![7; 1000] };
         file.save_update("s", &update, TRACKED, &[image]).await.unwrap();
         file.begin_segment("s", 500, -3).await.unwrap();
+        let reading = MotionReading {
+            timestamp_ns: 5,
+            angular_velocity: [0.1, 0.2, 0.3],
+            acceleration: [0.0, -9.8, 0.5],
+        };
+        file.add_motion("s", &[reading]).await.unwrap();
         file.create_session(&new_session("empty")).await.unwrap();
         let scale = SessionChanges { metres_per_unit: Some(Some(0.25)), ..SessionChanges::default() };
         file.update_session("s", &scale).await.unwrap();
@@ -268,6 +274,10 @@ mod postgres {
                 assert_eq!(to.get_session(id).await.unwrap(), from.get_session(id).await.unwrap());
             }
             assert_same_parts(&load(to).await, &load(&file).await);
+            assert_eq!(
+                to.motion_after("s", None).await.unwrap(),
+                from.motion_after("s", None).await.unwrap()
+            );
             assert_eq!(
                 to.keyframe_image("s", kf(1)).await.unwrap(),
                 from.keyframe_image("s", kf(1)).await.unwrap()
