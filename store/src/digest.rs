@@ -38,7 +38,7 @@ impl fmt::Display for Digest {
 /// Every table with every column but the session's number and name and wall-clock time, ordered by key; of
 /// cells, which follow from the rows and which [`Store::check`] compares with them, which there are.
 /// Parameter 1 is the session's number, 2 the mask of a point's id in a key.
-const TABLES: [(&str, &str); 16] = [
+const TABLES: [(&str, &str); 15] = [
     (
         "sessions",
         "SELECT camera, options, state, last_sequence, last_timestamp_ns, last_keyframe_id, last_point_id, last_line_id,
@@ -101,10 +101,6 @@ const TABLES: [(&str, &str); 16] = [
     (
         "segments",
         "SELECT first_sequence, ahead_ns FROM segments WHERE session = $1 ORDER BY first_sequence",
-    ),
-    (
-        "motion",
-        "SELECT first_ns, n_readings, readings FROM motion WHERE session = $1 ORDER BY first_ns",
     ),
 ];
 
