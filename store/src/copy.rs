@@ -98,7 +98,8 @@ pub enum Copied {
 impl Store {
     /// Copies a session of another database into this one, under the same name.
     ///
-    /// # Errors [`StoreError::SessionExists`] if another session has the name here, [`StoreError::Corrupt`]
+    /// # Errors
+    /// [`StoreError::SessionExists`] if another session has the name here, [`StoreError::Corrupt`]
     /// if what was written is not what was read, and whatever either database reports.
     pub async fn copy_session(&self, from: &Self, id: &str) -> Result<Copied, StoreError> {
         let mut source = from.begin_read().await?;
@@ -295,4 +296,46 @@ fn value(row: &Row, column: usize, kind: char) -> Result<Value, StoreError> {
         ('b', HeldValue::Null) => Value::Bytes(None),
         _ => return Err(StoreError::Corrupt(format!("column {column} of a row is of another type"))),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    fn names(columns: &str) -> BTreeSet<String> {
+        columns.split(',').filter_map(|column| column.split_whitespace().nth(1)).map(str::to_owned).collect()
+    }
+
+    /// A column that is added and not copied would be lost without a word.
+    #[tokio::test]
+    async fn every_column_there_is_is_copied() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("maps.db");
+        Store::open(&file, crate::StoreOptions::default()).await.unwrap().close().await.unwrap();
+        let database = sqlx::SqlitePool::connect(file.to_str().unwrap()).await.unwrap();
+        let columns: Vec<(String, String)> = sqlx::query_as(
+            "SELECT t.name, c.name FROM sqlite_schema t, pragma_table_info(t.name) c WHERE t.type = 'table'",
+        )
+        .fetch_all(&database)
+        .await
+        .unwrap();
+        let columns_of = |table: &str| -> BTreeSet<String> {
+            columns.iter().filter(|(name, _)| name == table).map(|(_, column)| column.clone()).collect()
+        };
+        let of_sessions: BTreeSet<&str> = columns
+            .iter()
+            .filter(|(name, column)| column == "session" && !name.contains("cells"))
+            .map(|(name, _)| name.as_str())
+            .collect();
+        assert_eq!(of_sessions, TABLES.iter().map(|table| table.name).collect());
+        for table in &TABLES {
+            let mut there = columns_of(table.name);
+            assert!(there.remove("session"), "{}", table.name);
+            assert_eq!(names(table.columns), there, "{}", table.name);
+        }
+        let mut there = columns_of("sessions");
+        assert!(there.remove("number") && there.remove("id"));
+        assert_eq!(names(SESSION), there);
+    }
 }
