@@ -346,7 +346,7 @@ mod tests {
             assert_eq!(engine_config(&asked).unwrap_err().violations[0].field, "options.readout_ms");
         }
         let asked = SessionOptions { readout_ms: Some(16.5), ..SessionOptions::default() };
-        assert_eq!(engine_config(&asked).unwrap().rolling_shutter.readout_ns, 16_500_000);
+        assert_eq!(engine_config(&asked).unwrap().rolling_shutter.readout_ns, Some(16_500_000));
         let asked = SessionOptions { max_keyframes: Some(0), ..SessionOptions::default() };
         assert_eq!(engine_config(&asked).unwrap_err().violations[0].field, "options.max_keyframes");
     }

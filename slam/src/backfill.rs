@@ -98,6 +98,14 @@ impl Backfill {
         }
     }
 
+    /// Takes over what is known of the camera's shutter.
+    pub fn set_rolling_shutter(&mut self, rolling_shutter: Option<RollingShutter>) {
+        if let Some(way) = &mut self.way {
+            way.tracker.set_rolling_shutter(rolling_shutter.clone());
+        }
+        self.rolling_shutter = rolling_shutter;
+    }
+
     /// Keeps a frame that got no pose, or got one while the map was young; the oldest goes when there are too
     /// many.
     pub fn keep(&mut self, view: &View, n_inliers: Option<usize>) {

@@ -106,6 +106,9 @@ pub struct FrameFeatures {
     pub bounds: GridBounds,
     /// Index of the undistorted positions for window queries.
     pub(crate) grid: KeypointGrid,
+    /// The readout of a rolling shutter that was taken out of the places, nanoseconds; 0 where they are as they
+    /// were detected. Begins anew with each run of a session.
+    pub(crate) readout_ns: i64,
     /// How the camera differs from its calibration.
     correction: CameraCorrection,
     /// Where all lies by the calibration alone, if the correction bends that.
@@ -196,6 +199,7 @@ impl FrameFeatures {
             pyramid,
             bounds,
             grid,
+            readout_ns: 0,
             correction,
             nominal,
         }
@@ -299,6 +303,7 @@ impl FrameFeatures {
         };
         let keypoints = self.keypoints.iter().enumerate().map(settle).collect::<Option<Vec<_>>>()?;
         let settled = Self::from_parts(keypoints, self.descriptors.clone(), &nominal_camera, self.pyramid)?;
+        let settled = Self { readout_ns: self.readout_ns, ..settled };
         Some(settled.with_lines(self.nominal_lines().to_vec()).with_correction(&self.correction))
     }
 

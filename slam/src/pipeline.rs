@@ -130,7 +130,11 @@ impl Pipeline {
             if newest.correction() != self.map.correction() {
                 self.front_end.correct_camera(newest.correction());
             }
+            let has_new_readout = newest.readout() != self.map.readout();
             self.map = newest;
+            if has_new_readout {
+                self.sync_rolling_shutter();
+            }
             self.tracker.sync_map(&self.map);
             if let Some(last) = self.tracker.last_frame() {
                 self.submaps.follow(last.submap);

@@ -1,7 +1,7 @@
 //! What came of one frame: values with the measurements beside the thresholds they were held against.
 
 use crate::features::FrameFeatures;
-use crate::map::{FrameState, KeyframeId, LineId, PointId, PrimitiveId, SubmapId};
+use crate::map::{FrameState, KeyframeId, LineId, PointId, PrimitiveId, Readout, SubmapId};
 use geometry::nalgebra::Vector3;
 use geometry::{CameraCorrection, Pose};
 use std::fmt;
@@ -220,6 +220,12 @@ pub enum MapEvent {
         /// Standard deviation of the focal length, as a share of it.
         focal_sigma: f64,
     },
+    /// The camera reads the rows of an image one after the other, and takes so long: that is taken out of what
+    /// it sees, and the map was adjusted to it.
+    ReadoutFound {
+        /// How long it takes.
+        readout: Readout,
+    },
     /// The images contradict the calibration by more than it can be wrong by: it is used as it was given. The
     /// lens may be described wrongly, or the images may have been resized or cropped.
     CalibrationContradicted {
@@ -237,7 +243,8 @@ impl MapEvent {
             }
             Self::CalibrationRefined { .. }
             | Self::CalibrationContradicted { .. }
-            | Self::CalibrationUndetermined { .. } => None,
+            | Self::CalibrationUndetermined { .. }
+            | Self::ReadoutFound { .. } => None,
         }
     }
 
@@ -247,7 +254,8 @@ impl MapEvent {
             Self::LoopClosed { n_matches, .. } | Self::SubmapsMerged { n_matches, .. } => *n_matches,
             Self::CalibrationRefined { .. }
             | Self::CalibrationContradicted { .. }
-            | Self::CalibrationUndetermined { .. } => 0,
+            | Self::CalibrationUndetermined { .. }
+            | Self::ReadoutFound { .. } => 0,
         }
     }
 
@@ -264,9 +272,18 @@ impl MapEvent {
         match self {
             Self::CalibrationRefined { correction, .. } => Some((*correction, true)),
             Self::CalibrationContradicted { correction } => Some((*correction, false)),
-            Self::LoopClosed { .. } | Self::SubmapsMerged { .. } | Self::CalibrationUndetermined { .. } => {
-                None
-            }
+            Self::LoopClosed { .. }
+            | Self::SubmapsMerged { .. }
+            | Self::CalibrationUndetermined { .. }
+            | Self::ReadoutFound { .. } => None,
+        }
+    }
+
+    /// How long the camera takes to read an image, where that was found.
+    pub fn readout(&self) -> Option<Readout> {
+        match self {
+            Self::ReadoutFound { readout } => Some(*readout),
+            _ => None,
         }
     }
 

@@ -6,6 +6,10 @@
 //! in its own frame while the image is read. With the keypoint's depth the place where `T` sees the same
 //! point follows.
 
+mod motion_log;
+
+pub(crate) use motion_log::{MotionLog, Motions};
+
 use crate::features::FrameFeatures;
 use geometry::nalgebra::{Vector2, Vector6};
 use geometry::{Camera, Pinhole, Pose};
@@ -22,13 +26,24 @@ const MAX_INTERVAL_NS: i64 = 500_000_000;
 pub(crate) struct RollingShutter {
     /// Of the images that features are looked for in, as it was given.
     camera: Camera,
+    /// Nanoseconds.
     readout_ns: i64,
 }
 
 impl RollingShutter {
+    /// Of a readout that is looked for, with none at present.
+    pub fn unknown(camera: &Camera) -> Self {
+        Self { camera: camera.clone(), readout_ns: 0 }
+    }
+
     /// `None` for a global shutter. `camera` is that of the images that features are looked for in.
     pub fn new(camera: &Camera, readout_ns: i64) -> Option<Self> {
         (readout_ns != 0).then(|| Self { camera: camera.clone(), readout_ns })
+    }
+
+    /// The same camera with another readout; none at all, if that is 0.
+    pub fn with_readout(&self, readout_ns: i64) -> Self {
+        Self { camera: self.camera.clone(), readout_ns }
     }
 
     /// How the camera moves that turned and shifted so from one frame to another, at the middle between them.
@@ -46,20 +61,21 @@ impl RollingShutter {
         inverse_depth: impl Fn(Option<usize>, &Vector2<f64>) -> f64,
     ) -> FrameFeatures {
         let (pinhole, twist) = (rolled.pinhole, velocity * self.readout_ns as f64);
-        let moved = |place: &Vector2<f64>, row: f64, inverse_depth: f64| {
+        let place_of = |place: &Vector2<f64>, row: f64, inverse_depth: f64| {
             unrolled(&pinhole, &(twist * self.share(row)), place, inverse_depth).unwrap_or(*place)
         };
-        rolled.moved(
-            |i, place| moved(place, f64::from(rolled.keypoints[i].y), inverse_depth(Some(i), place)),
+        let moved = rolled.moved(
+            |i, place| place_of(place, f64::from(rolled.keypoints[i].y), inverse_depth(Some(i), place)),
             |place, nominal| {
                 let row = self.camera.distort(nominal).map_or(nominal.y, |pixel| pixel.y);
-                moved(place, row, inverse_depth(None, place))
+                place_of(place, row, inverse_depth(None, place))
             },
-        )
+        );
+        FrameFeatures { readout_ns: rolled.readout_ns + self.readout_ns, ..moved }
     }
 
     /// When a row is read, as a share of the readout after the middle row.
-    fn share(&self, row: f64) -> f64 {
+    pub fn share(&self, row: f64) -> f64 {
         ((row + 0.5) / f64::from(self.camera.height()) - 0.5).clamp(-0.5, 0.5)
     }
 

@@ -19,7 +19,7 @@ fn rolling_room() -> Sequence {
 /// The map, the position error and the rotation error, degrees.
 fn map_room(sequence: &Sequence, images: &[GrayImage], readout_ns: i64) -> (Arc<Map>, f64, f64) {
     let mut config = inline(3);
-    config.rolling_shutter.readout_ns = readout_ns;
+    config.rolling_shutter.readout_ns = Some(readout_ns);
     let mut session = Session::new(config, sequence.camera());
     for (index, image) in images.iter().enumerate() {
         session.show(index as u64, sequence.timestamp_ns(index), image.clone());

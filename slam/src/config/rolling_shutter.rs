@@ -3,26 +3,52 @@
 use super::ConfigError;
 
 /// Rolling shutter: the rows of an image are read one after the other.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RollingShutterConfig {
-    /// Time from the first row to the last, nanoseconds. Default 0, a global shutter: how long a camera takes
-    /// cannot be told from its size, and phones take 8 to 35 ms.
-    pub readout_ns: i64,
+    /// Time from the first row to the last, nanoseconds; 0 for a global shutter. Default not known: it cannot
+    /// be told from a camera's size, phones take 8 to 35 ms, and is found where the motion shows it.
+    pub readout_ns: Option<i64>,
+    /// A readout that is not known is taken over if it is this many of its standard deviations. Default 4.
+    pub min_sigmas: f64,
+    /// And at least this, nanoseconds. Default 3 ms: what less does to an image is lost in its noise.
+    pub min_readout_ns: i64,
+    /// And at most this, nanoseconds. Default 60 ms: slower cameras are none for video.
+    pub max_found_ns: i64,
+    /// Decrease of χ² in keyframes left out of the fit from which on they speak for it too. Default 10.
+    pub min_held_out_gain: f64,
+    /// How much what it is without them may differ from what it is with them, as a share of it. Default 0.33.
+    pub max_disagreement: f64,
+    /// One that was taken over is changed by this many standard deviations or more. Default 1.
+    pub min_move_sigmas: f64,
 }
 
 /// Slower cameras are not video cameras.
 const MAX_READOUT_NS: i64 = 200_000_000;
+
+impl Default for RollingShutterConfig {
+    fn default() -> Self {
+        Self {
+            readout_ns: None,
+            min_sigmas: 4.0,
+            min_readout_ns: 3_000_000,
+            max_found_ns: 60_000_000,
+            min_held_out_gain: 10.0,
+            max_disagreement: 0.33,
+            min_move_sigmas: 1.0,
+        }
+    }
+}
 
 impl RollingShutterConfig {
     /// Of a readout in milliseconds; what is no such time is refused by
     /// [validation](super::SlamConfig::validate).
     pub fn of_ms(readout_ms: f64) -> Self {
         let readout_ns = if readout_ms.is_finite() { (readout_ms * 1e6).round() as i64 } else { i64::MIN };
-        Self { readout_ns }
+        Self { readout_ns: Some(readout_ns), ..Self::default() }
     }
 
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
-        if (0..=MAX_READOUT_NS).contains(&self.readout_ns) {
+        if (0..=MAX_READOUT_NS).contains(&self.readout_ns.unwrap_or(0)) {
             return Ok(());
         }
         let reason = format!("must be 0 to {} ms", MAX_READOUT_NS / 1_000_000);

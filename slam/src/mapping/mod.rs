@@ -6,6 +6,7 @@ mod global_stage;
 mod intrinsics;
 mod lines;
 mod primitives;
+mod readout;
 pub(crate) mod stage;
 mod triangulation;
 
@@ -17,12 +18,13 @@ use crate::map::{
     FramePose, FrameRecord, Keyframe, KeyframeId, Map, MapUpdate, Observation, PointId, SubmapId,
 };
 use crate::report::{LineJudgement, MapEvent};
-use geometry::CameraCorrection;
+use geometry::{Camera, CameraCorrection};
 use geometry::nalgebra::Vector3;
 use global_stage::{Done, GlobalStage, Task};
 use intrinsics::IntrinsicsMonitor;
 use lines::LineMapper;
 use primitives::PrimitiveMapper;
+use readout::ReadoutMonitor;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -69,6 +71,8 @@ pub(crate) struct Mapper {
     global: GlobalStage,
     /// Absent where the calibration is to be taken as it is.
     camera: Option<IntrinsicsMonitor>,
+    /// Absent where the readout of the camera's shutter is known.
+    readout: Option<ReadoutMonitor>,
     /// Submaps that grew since they were adjusted by their primitives.
     grown: BTreeSet<SubmapId>,
     /// Corrections of the map that nobody was told of yet.
@@ -76,9 +80,11 @@ pub(crate) struct Mapper {
 }
 
 impl Mapper {
+    /// `working_camera` is that of the images that features are looked for in.
+    ///
     /// # Errors
     /// If the configuration cannot be used.
-    pub fn new(config: SlamConfig, map: Map) -> Result<Self, ConfigError> {
+    pub fn new(config: SlamConfig, working_camera: &Camera, map: Map) -> Result<Self, ConfigError> {
         let with_primitives = config.features.lines && config.features.global_primitives;
         let primitives = with_primitives.then(|| PrimitiveMapper::new(&config)).transpose()?;
         let loops = config.features.loop_closing.then(|| LoopCloser::new(&config));
@@ -87,8 +93,21 @@ impl Mapper {
         let is_contradicted = map.is_contradicted();
         let monitor = || IntrinsicsMonitor::new(&config.calibration, is_contradicted);
         let camera = config.features.refine_calibration.then(monitor);
+        let readout = ReadoutMonitor::new(&config, working_camera, &map);
         let grown = BTreeSet::new();
-        Ok(Self { config, map, recent_points, lines, primitives, loops, global, camera, grown, events })
+        Ok(Self {
+            config,
+            map,
+            recent_points,
+            lines,
+            primitives,
+            loops,
+            global,
+            camera,
+            readout,
+            grown,
+            events,
+        })
     }
 
     /// Hands out what corrected the map since the last call.
@@ -156,6 +175,8 @@ impl Mapper {
             frames.iter_mut().filter(of_it).for_each(|frame| frame.pose = Some(new.place));
             return self.update(frames);
         }
+        self.note_motion(&new.frames);
+        self.unroll_keyframes();
         culling::cull_recent_points(&mut self.map, &mut self.recent_points, id, &self.config.mapping);
         let made = triangulation::triangulate_with_neighbors(&mut self.map, id, &self.config.mapping);
         self.recent_points.extend(made);
@@ -215,7 +236,8 @@ impl Mapper {
     fn check_intrinsics(&mut self, share: f64) {
         let Some(camera) = self.camera.as_mut().filter(|_| self.global.is_idle()) else { return };
         let Some(submap) = camera.is_due(&self.map, share, &self.config.calibration) else { return };
-        let task = Task::CheckIntrinsics { before: camera.memory() };
+        let readout = self.readout.as_ref().map(|readout| readout.look(&self.map, submap));
+        let task = Task::CheckIntrinsics { before: camera.memory(), readout };
         let done = self.global.start(task, &self.map, submap, &self.config);
         self.take_over(done);
     }
@@ -272,6 +294,10 @@ impl Mapper {
                     _ => {}
                 }
                 self.events.extend(event);
+                if let Some(readout) = check.readout {
+                    self.map.set_readout(readout);
+                    self.unroll_keyframes();
+                }
                 if let Some(result) = check.adjusted {
                     result.merge_into(&mut self.map);
                     if let Some(submap) = check.search_again {
@@ -283,6 +309,20 @@ impl Mapper {
         };
         if let Some(result) = result {
             result.merge_into(&mut self.map);
+        }
+    }
+
+    fn note_motion(&mut self, frames: &[FrameRecord]) {
+        if let Some(readout) = &mut self.readout {
+            readout.note(frames);
+        }
+    }
+
+    /// Takes the readout that was found out of those keyframes in which it is not yet taken out.
+    fn unroll_keyframes(&mut self) {
+        let Some(readout) = &self.readout else { return };
+        for submap in self.map.submaps() {
+            readout.unroll(&mut self.map, submap);
         }
     }
 
@@ -332,6 +372,7 @@ impl Mapper {
     }
 
     fn update(&mut self, frames: Vec<FrameRecord>) -> MapUpdate {
+        self.note_motion(&frames);
         let mut changes = self.map.take_changes();
         changes.enlarged = self.config.enlarge_for_border && !changes.keyframes.is_empty();
         debug_assert_eq!(self.map.check(), Ok(()));

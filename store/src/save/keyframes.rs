@@ -31,7 +31,8 @@ const REMOVED_ROWS: MultiRow = MultiRow {
 };
 
 /// Features are large: statements of one row, the text of which is prepared once.
-const INSERT_FEATURES: &str = "INSERT INTO keyframe_features (session, keyframe, features) VALUES (?, ?, ?)";
+const WRITE_FEATURES: &str = "INSERT INTO keyframe_features (session, keyframe, features) VALUES (?, ?, ?)
+     ON CONFLICT (session, keyframe) DO UPDATE SET features = excluded.features";
 
 /// Writes changed keyframes' rows, deletes removed ones', and notes what those hang on.
 pub(super) async fn write_keyframes(
@@ -131,7 +132,7 @@ async fn delete_keyframes(
     Ok(())
 }
 
-/// Writes the features of keyframes that are new to the database.
+/// Writes the features of keyframes that are new to the database, or that have them elsewhere than before.
 pub(super) async fn write_features(
     connection: &mut SqliteConnection,
     session: i64,
@@ -150,8 +151,8 @@ pub(super) async fn write_features(
     let known: BTreeSet<i64> = known.into_iter().collect();
     for keyframe in update.changes.keyframes.iter().filter_map(|id| update.map.keyframe(*id)) {
         let id = keyframe_column(keyframe.id)?;
-        if !known.contains(&id) {
-            sqlx::query(INSERT_FEATURES)
+        if !known.contains(&id) || update.changes.moved_features.contains(&keyframe.id) {
+            sqlx::query(WRITE_FEATURES)
                 .bind(session)
                 .bind(id)
                 .bind(encode_features(&keyframe.features))
