@@ -48,6 +48,7 @@ mod soundness;
 mod storage;
 mod telemetry;
 mod tokens;
+mod traces;
 mod upkeep;
 mod watch;
 
@@ -70,5 +71,6 @@ pub use shutdown::{Hangups, requested as shutdown_requested};
 pub use storage::{StorageConfig, Synchronous};
 pub use telemetry::start_log;
 pub use tokens::TokenCommand;
+pub use traces::{Exporter, TraceConfig};
 pub use upkeep::UpkeepCommand;
 pub use watch::{Watched, watch};

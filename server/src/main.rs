@@ -39,8 +39,11 @@ enum Command {
 fn main() -> anyhow::Result<()> {
     let Args { config: arguments, quick_share, command } = Args::parse();
     let config = Config::load(arguments.clone())?;
-    server::start_log(&config);
     let runtime = tokio::runtime::Runtime::new().context("cannot start the runtime")?;
+    let traces = {
+        let _within = runtime.enter();
+        server::start_log(&config)?
+    };
     let outcome = match command {
         None => runtime.block_on(serve(config, arguments, quick_share)),
         Some(Command::Upkeep(command)) => runtime.block_on(command.run(&config, &mut std::io::stdout())),
@@ -48,6 +51,7 @@ fn main() -> anyhow::Result<()> {
         Some(Command::Health) => runtime.block_on(server::probe(&config, &mut std::io::stdout())),
         Some(Command::Token(command)) => runtime.block_on(command.run(&config, &mut std::io::stdout())),
     };
+    drop(traces);
     // A session that was abandoned at the end of the grace period must not hold the process up.
     runtime.shutdown_background();
     outcome

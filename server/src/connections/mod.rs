@@ -13,6 +13,7 @@ mod refusal;
 mod serve;
 mod table;
 mod tls;
+mod traced;
 
 pub use files::raise_file_limit;
 pub use inflow::Inflow;
@@ -20,3 +21,4 @@ pub use metered::Meter;
 pub use serve::{Interface, Opening, Peer, Port, serve};
 pub use table::{Table, client_network};
 pub use tls::Certificates;
+pub use traced::trace;

@@ -60,6 +60,7 @@ pub(crate) async fn serve(
         .into_axum_router()
         .layer(axum::middleware::from_fn(deadline::keep))
         .layer(axum::middleware::from_fn_with_state(door, access::check))
+        .layer(axum::middleware::from_fn_with_state(Interface::Grpc, connections::trace))
         .layer(SetResponseHeaderLayer::overriding(HTTP_PORT_HEADER, HeaderValue::from(http_port)));
     let Opening { listener, tls, table, meter } = opening;
     let port = Port { listener, interface: Interface::Grpc, tls, table, meter, patient_paths: PATIENT };

@@ -4,14 +4,20 @@ use super::Tools;
 use super::queue::{Kind, Outcome, Turn};
 use crate::error::ApiError;
 use crate::session::{LoadContext, adjust, join};
+use crate::traces::session_span;
 use std::collections::BTreeSet;
 use std::time::Instant;
+use tracing::Instrument;
 
 /// Runs it to its end.
 pub(super) async fn run(tools: Tools, turn: Turn) -> Result<Outcome, ApiError> {
     let begin = Instant::now();
     let (id, kind) = (turn.id.clone(), turn.kind);
-    let outcome = work(&tools, turn).await;
+    let span = match kind {
+        Kind::Optimize => session_span!("optimize", turn.session.as_str()),
+        Kind::Merge => session_span!("merge", turn.session.as_str()),
+    };
+    let outcome = work(&tools, turn).instrument(span).await;
     let label = match &outcome {
         Ok(Outcome::Cancelled) => "cancelled",
         Ok(_) => "done",

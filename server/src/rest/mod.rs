@@ -182,6 +182,7 @@ fn router_with(app: App, more: Router) -> Router {
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
         .layer(axum::middleware::from_fn_with_state(app.clone(), conditional::answer))
         .layer(axum::middleware::from_fn_with_state(door, access::check))
+        .layer(axum::middleware::from_fn_with_state(Interface::Http, connections::trace))
         // Images and events go as they are.
         .layer(CompressionLayer::new())
         .layer(cors)

@@ -7,11 +7,13 @@ use crate::clock::SystemClock;
 use crate::error::ApiError;
 use crate::options::engine_config_of;
 use crate::soundness::damaged;
+use crate::traces::session_span;
 use geometry::Camera;
 use slam::map::FrameState;
 use slam::{MapUpdate, Pipeline, ResumeState, SceneMask, SlamConfig};
 use std::sync::{Arc, Mutex, PoisonError};
 use store::{KeyframeImage, LoadedSession, SessionStatus, Store, StoredFrame};
+use tracing::Instrument;
 
 /// Which session of which database.
 pub struct LoadContext<'a> {
@@ -161,7 +163,8 @@ impl Sink for SessionSink {
             }
             *last_state
         };
-        self.store.save_update(self.id.as_str(), update, SessionStatus { state }, images).await?;
+        let saving = self.store.save_update(self.id.as_str(), update, SessionStatus { state }, images);
+        saving.instrument(session_span!("commit", self.id.as_str())).await?;
         self.events.saved(update);
         Ok(())
     }

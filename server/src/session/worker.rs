@@ -21,6 +21,7 @@ use super::recent::RecentAnswers;
 use super::view::Live;
 use super::writer::Outbox;
 use crate::error::{ApiError, ErrorCode};
+use crate::traces;
 use slam::map::FrameState;
 use slam::{FrameReport, Pipeline, TrackingOutcome};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -30,6 +31,7 @@ use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
+use tracing::Span;
 use vision::decode::{DecodeLimits, SampleDepth};
 
 /// Decoded frames that wait for tracking: one, so that decoding overlaps tracking. The decoder waits when it
@@ -301,6 +303,7 @@ impl Worker {
             return self.repeat(sequence, timestamp_ns);
         }
         let queued_ns = arrived.elapsed().as_nanos() as u64;
+        let span = traces::frame(self.id.as_str(), sequence).entered();
         let engine_ns = match self.engine_time(sequence, timestamp_ns) {
             Ok(engine_ns) => engine_ns,
             Err(rejection) => return rejected(rejection),
@@ -326,7 +329,7 @@ impl Worker {
             Some(ShownFrame { image: sent, observed })
         };
         self.ends.events.frame(&report, metres_per_unit, shown);
-        record_frame(&report, queued_ns);
+        record_frame(&report, queued_ns, &span);
         self.recent.remember(report.clone());
         let durable_sequence = self.outbox.durable_sequence();
         Reply::Answered(Box::new(Answer { report, durable_sequence, queued_ns, metres_per_unit }))
@@ -427,13 +430,14 @@ fn rejected(rejection: Rejection) -> Reply {
     Reply::Rejected(rejection)
 }
 
-fn record_frame(report: &FrameReport, queued_ns: u64) {
+fn record_frame(report: &FrameReport, queued_ns: u64, span: &Span) {
     let outcome = match report.outcome {
         TrackingOutcome::Initialising(_) => "initialising",
         TrackingOutcome::Tracked => "tracked",
         TrackingOutcome::Weak { .. } | TrackingOutcome::CalibrationContradicted => "weak",
         TrackingOutcome::Lost(_) => "lost",
     };
+    traces::describe_frame(span, report, outcome, queued_ns);
     let seconds = |nanoseconds: u64| nanoseconds as f64 * 1e-9;
     metrics::counter!("monoslam_frames_total", "outcome" => outcome).increment(1);
     metrics::histogram!("monoslam_frame_seconds").record(seconds(report.wall_ns));

@@ -9,3 +9,4 @@ mod manager;
 mod memory;
 mod program;
 mod reload;
+mod traces;

@@ -2,13 +2,19 @@
 //!
 //! Everything is read once, before a port opens, and checked by [`Config::validate`].
 
+mod environment;
+mod limits;
+mod sessions;
+
 use crate::network::{self, AccessConfig, ConnectionConfig, QuotaConfig, TlsConfig};
 use crate::storage::StorageConfig;
+use crate::traces::TraceConfig;
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
+use environment::{of_server, unknown_variables};
+pub use limits::Limits;
 use serde::{Deserialize, Deserializer, Serialize};
-use std::collections::HashMap;
-use std::ffi::OsString;
+pub use sessions::SessionConfig;
 use std::net::{Ipv4Addr, SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -47,139 +53,9 @@ pub struct Config {
     /// What is in the log, in the words of `RUST_LOG`, such as `warn,audit=info`. That variable goes before
     /// it. Default `info`.
     pub log_filter: Option<String>,
+    /// Where traces go.
+    pub traces: TraceConfig,
 }
-
-/// What is refused, each with an error that says so.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Limits {
-    /// Largest gRPC message, bytes. Default 64 MiB: the largest raw color image with room to spare.
-    pub max_message_bytes: usize,
-    /// Bytes of messages that are begun and not finished, or wait to be worked off, of all clients together;
-    /// who brings more waits, and is refused after five seconds. Default 256 MiB, four of the largest
-    /// messages. Over a WebSocket they count as they come.
-    pub max_bytes_in_flight: usize,
-    /// Largest image, pixels. Default 4096 * 3072. Checked before an image is decoded.
-    pub max_image_pixels: u64,
-    /// Sessions kept at most, loaded or not. Default 10 000.
-    pub max_sessions: u64,
-    /// Sessions in memory at most: each holds its map and two threads. Default 64.
-    pub max_loaded_sessions: usize,
-    /// Largest database, bytes; `None` is as large as the disk. Frames are refused when it is full.
-    pub max_database_bytes: Option<u64>,
-    /// Operations known that have not ended, such as adjustments of maps; a quarter of them of one owner.
-    /// Default 64.
-    pub max_operations: usize,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self {
-            max_message_bytes: 64 << 20,
-            max_bytes_in_flight: 256 << 20,
-            max_image_pixels: 4096 * 3072,
-            max_sessions: 10_000,
-            max_loaded_sessions: 64,
-            max_database_bytes: None,
-            max_operations: 64,
-        }
-    }
-}
-
-/// How sessions run.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SessionConfig {
-    /// Seconds without a writer after which a session leaves memory. Default 60.
-    pub idle_unload_s: f64,
-    /// Frames that wait for tracking in a LOSSLESS stream before the client is held back. Default 4: enough
-    /// to keep tracking busy, few enough that large raw images do not fill the memory.
-    pub lossless_queue_frames: usize,
-    /// Newest frames kept waiting in a REALTIME stream; older ones are dropped. Default 2.
-    pub realtime_queue_frames: usize,
-    /// Seconds after which a frame of a REALTIME stream that newer ones follow is dropped when its turn
-    /// comes. Default 0.5: where many streams share the cores, answers are of what is, and not of what was.
-    pub realtime_max_wait_s: f64,
-    /// Keep the images of keyframes, as they were sent (raw ones as PNG). Default true.
-    pub keep_keyframe_images: bool,
-    /// Seconds between attempts to save after one failed, as when the disk is full. Default 1.
-    pub save_retry_s: f64,
-    /// Single images located at the same time; further ones wait their turn. Default 1: each takes a core and
-    /// as much memory as its map.
-    #[serde(alias = "n_localisations")]
-    pub n_localizations: usize,
-    /// How far a frame's sequence may be beyond the one that is expected; one further is refused. Default
-    /// 1_000_000_000: a year at 30 frames a second. What is more is no count of frames, and a few such leaps
-    /// would leave no numbers.
-    pub max_sequence_leap: u64,
-    /// Seconds a frame's time may be after that of the one before; one later is refused, unless it begins a
-    /// new segment. Default 31 622 400, a leap year: what is more comes from a clock that was set, and would
-    /// keep the session from going on once that is set right.
-    pub max_time_leap_s: f64,
-    /// Seconds that are spent on locating a single image, its turn not counted. Default 10: a large map is
-    /// read and searched in two.
-    pub localize_timeout_s: f64,
-    /// Seconds after which a stream that sends nothing gives up its session's place in memory when another
-    /// session needs one. Default 30: a camera that sends less than a frame in half a minute maps nothing.
-    pub idle_stream_s: f64,
-    /// Operations that run at the same time. Default 1: each takes every core for parts of its time.
-    pub n_operations: usize,
-    /// Cores that tracking, mapping and adjusting maps keep busy at the same time, of all sessions together,
-    /// which share them alike; decoding, the network and single images go beside. Default as many as the
-    /// machine has: with more, sessions would only take them from each other.
-    pub n_cores: Option<usize>,
-    /// Memory for what maps look like, to find the one that an image shows, MiB. Default 256: some 200 maps
-    /// of 150 keyframes; with less, maps are read again for each image.
-    pub localization_index_mb: usize,
-    /// Keyframes of maps that are kept ready to locate images in. Default 400, some 80 MB; 0 keeps none. What
-    /// is not used for `idle_unload_s` goes.
-    pub localization_keyframes: usize,
-}
-
-impl Default for SessionConfig {
-    fn default() -> Self {
-        Self {
-            idle_unload_s: 60.0,
-            lossless_queue_frames: 4,
-            realtime_queue_frames: 2,
-            realtime_max_wait_s: 0.5,
-            keep_keyframe_images: true,
-            save_retry_s: 1.0,
-            n_localizations: 1,
-            localize_timeout_s: 10.0,
-            max_sequence_leap: 1_000_000_000,
-            max_time_leap_s: 31_622_400.0,
-            idle_stream_s: 30.0,
-            n_operations: 1,
-            n_cores: None,
-            localization_index_mb: 256,
-            localization_keyframes: 400,
-        }
-    }
-}
-
-impl SessionConfig {
-    /// [`Self::idle_unload_s`] as a span of time.
-    pub fn idle_unload(&self) -> Duration {
-        Duration::from_secs_f64(self.idle_unload_s)
-    }
-
-    /// [`Self::idle_stream_s`] as a span of time.
-    pub fn idle_stream(&self) -> Duration {
-        Duration::from_secs_f64(self.idle_stream_s)
-    }
-
-    /// [`Self::n_cores`], or as many as the machine has.
-    pub fn n_cores(&self) -> usize {
-        self.n_cores.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
-    }
-
-    /// [`Self::save_retry_s`] as a span of time.
-    pub fn save_retry(&self) -> Duration {
-        Duration::from_secs_f64(self.save_retry_s)
-    }
-}
-
 /// How log lines are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
@@ -207,41 +83,10 @@ impl Default for Config {
             quotas: QuotaConfig::default(),
             log: LogFormat::default(),
             log_filter: None,
+            traces: TraceConfig::default(),
         }
     }
 }
-
-/// Variables of the same prefix that are not the server's: where clients find it, and where recordings are.
-const NOT_OF_SERVERS: [&str; 4] = ["MONOSLAM_SERVER", "MONOSLAM_DATA", "MONOSLAM_TOKEN", "MONOSLAM_CA"];
-
-/// The environment as far as it may configure a server.
-fn of_server(variables: impl Iterator<Item = (OsString, OsString)>) -> HashMap<String, String> {
-    variables
-        .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
-        .filter(|(name, _)| !NOT_OF_SERVERS.contains(&name.as_str()) && !is_of_orchestrator(name))
-        .collect()
-}
-
-/// Whether an orchestrator sets the variable for a service that is called like this program, or begins like
-/// it: `MONOSLAM_SERVICE_HOST`, `MONOSLAM_PORT`, `MONOSLAM_PORT_50051_TCP_ADDR`,
-/// `MONOSLAM_SERVER_SERVICE_PORT_HTTP`; and the links of containers, `MONOSLAM_NAME`, `MONOSLAM_ENV_X`. No
-/// field of the configuration is called so.
-fn is_of_orchestrator(name: &str) -> bool {
-    let Some(name) = name.strip_prefix("MONOSLAM_") else { return false };
-    // With a mark before it, each part is found at the beginning as well.
-    let name = format!("_{name}");
-    let is_port = |(_, rest): (&str, &str)| {
-        let number = rest.trim_start_matches('_').split('_').next().unwrap_or_default();
-        rest.is_empty()
-            || (rest.starts_with('_') && !number.is_empty() && number.bytes().all(|c| c.is_ascii_digit()))
-    };
-    name.ends_with("_SERVICE_HOST")
-        || name.contains("_SERVICE_PORT")
-        || name.split_once("_PORT").is_some_and(is_port)
-        || name.ends_with("_NAME")
-        || name.contains("_ENV_")
-}
-
 /// An address to listen at, in numbers or by a name such as `localhost`.
 ///
 /// # Errors
@@ -263,7 +108,6 @@ pub fn parse_address(text: &str) -> Result<SocketAddr, String> {
 fn address_of<'de, D: Deserializer<'de>>(deserializer: D) -> Result<SocketAddr, D::Error> {
     parse_address(&String::deserialize(deserializer)?).map_err(serde::de::Error::custom)
 }
-
 /// The file with the environment over it.
 ///
 /// # Errors
@@ -289,16 +133,6 @@ fn whose_fault(args: &ConfigArgs) -> String {
             format!("the environment has what is no field of the configuration: {}", names.join(", "))
         }
     }
-}
-
-/// Those of these variables of the environment that name no field.
-fn unknown_variables(names: impl Iterator<Item = String>) -> Vec<String> {
-    let fields = serde_json::to_value(Config::default()).unwrap_or_default();
-    let is_unknown = |name: &String| {
-        let field = name.strip_prefix("MONOSLAM_").map(|field| field.to_lowercase().replace("__", "/"));
-        field.is_some_and(|field| fields.pointer(&format!("/{field}")).is_none())
-    };
-    names.filter(is_unknown).collect()
 }
 
 /// The command line's share of the configuration; what is left out comes from the environment, the file or
@@ -330,7 +164,6 @@ pub struct ConfigArgs {
     #[arg(long, value_name = "FILE", global = true)]
     pub config: Option<PathBuf>,
 }
-
 impl Config {
     /// The defaults with the database in `data_dir` and ports that are free: what tests and demonstrations
     /// run.
@@ -404,6 +237,7 @@ impl Config {
         }
         network::validate(&self.access, &self.tls, &self.connections, &self.quotas)?;
         self.storage.validate()?;
+        self.traces.validate()?;
         if let Some(filter) = &self.log_filter {
             let parsed = tracing_subscriber::EnvFilter::try_new(filter);
             parsed.map_err(|error| anyhow::anyhow!("log_filter: {filter:?} cannot be used: {error}"))?;
@@ -434,7 +268,6 @@ impl Config {
         Duration::from_secs_f64(self.shutdown_grace_s)
     }
 }
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -462,49 +295,6 @@ mod tests {
         let error = Config::load(ConfigArgs { config: Some(file), ..ConfigArgs::default() }).unwrap_err();
         let error = format!("{error:#}");
         assert!(error.contains("data_dri") && error.contains("monoslam.toml"), "{error}");
-    }
-
-    #[test]
-    fn variables_of_clients_and_orchestrators_do_not_configure_a_server() {
-        let names = [
-            "MONOSLAM_DATA",
-            "MONOSLAM_SERVER",
-            "MONOSLAM_LOG",
-            "MONOSLAM_PORT",
-            "MONOSLAM_PORT_50051_TCP",
-            "MONOSLAM_PORT_50051_TCP_ADDR",
-            "MONOSLAM_SERVICE_HOST",
-            "MONOSLAM_SERVICE_PORT",
-            "MONOSLAM_SERVICE_PORT_GRPC",
-            "MONOSLAM_SERVER_SERVICE_HOST",
-            "MONOSLAM_SERVER_PORT",
-            "MONOSLAM_SERVER_PORT_8080_TCP_PROTO",
-            "MONOSLAM_NAME",
-            "MONOSLAM_ENV_PATH",
-        ];
-        let variables = names.map(|name| (OsString::from(name), OsString::from("json")));
-        let left: Vec<String> = of_server(variables.into_iter()).into_keys().collect();
-        assert_eq!(left, ["MONOSLAM_LOG"]);
-    }
-
-    #[test]
-    fn no_field_is_taken_for_a_variable_of_an_orchestrator() {
-        let fields = serde_json::to_value(Config::default()).unwrap();
-        let mut names = Vec::new();
-        for (name, value) in fields.as_object().unwrap() {
-            match value.as_object() {
-                Some(inner) => names.extend(inner.keys().map(|field| format!("MONOSLAM_{name}__{field}"))),
-                None => names.push(format!("MONOSLAM_{name}")),
-            }
-        }
-        assert!(names.len() > 15, "{names:?}");
-        for name in names {
-            assert!(!is_of_orchestrator(&name.to_uppercase()), "{name}");
-        }
-        assert!(!is_of_orchestrator("MONOSLAM_DATA_DRI"), "what is mistyped is refused");
-        let given = ["MONOSLAM_DATA_DRI", "MONOSLAM_DATA_DIR", "MONOSLAM_LIMITS__MAX_SESIONS", "HOME"];
-        let unknown = unknown_variables(given.into_iter().map(str::to_owned));
-        assert_eq!(unknown, ["MONOSLAM_DATA_DRI", "MONOSLAM_LIMITS__MAX_SESIONS"]);
     }
 
     #[test]
