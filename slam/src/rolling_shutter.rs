@@ -64,14 +64,15 @@ impl RollingShutter {
         let place_of = |place: &Vector2<f64>, row: f64, inverse_depth: f64| {
             unrolled(&pinhole, &(twist * self.share(row)), place, inverse_depth).unwrap_or(*place)
         };
-        let moved = rolled.moved(
+        let mut moved = rolled.moved(
             |i, place| place_of(place, f64::from(rolled.keypoints[i].y), inverse_depth(Some(i), place)),
             |place, nominal| {
                 let row = self.camera.distort(nominal).map_or(nominal.y, |pixel| pixel.y);
                 place_of(place, row, inverse_depth(None, place))
             },
         );
-        FrameFeatures { readout_ns: rolled.readout_ns + self.readout_ns, ..moved }
+        moved.readout_ns += self.readout_ns;
+        moved
     }
 
     /// When a row is read, as a share of the readout after the middle row.

@@ -206,7 +206,7 @@ impl Fit {
     }
 
     /// Standard deviation of the readout, seconds: with the errors of one point, or of one keyframe, taken as
-    /// one error, whichever says more, and no less than as for a calibration that was given.
+    /// one error, whichever says more.
     fn sigma_s(&mut self, calibration: &CalibrationConfig) -> f64 {
         let mut of = |cluster_of: &[usize]| {
             let covariance = self.problem.clustered_covariance(self.camera, self.observations, cluster_of)?;
@@ -216,7 +216,7 @@ impl Fit {
         else {
             return f64::INFINITY;
         };
-        let variance = by_point.max(by_keyframe).max(calibration.given_inflation * expected);
+        let variance = calibration.given_inflation * by_point.max(by_keyframe);
         tracing::debug!(expected, by_point, by_keyframe, "variances of the readout, squared seconds");
         variance.sqrt()
     }

@@ -14,7 +14,8 @@ pub struct RollingShutterConfig {
     pub min_readout_ns: i64,
     /// And at most this, nanoseconds. Default 60 ms: slower cameras are none for video.
     pub max_found_ns: i64,
-    /// Decrease of χ² in keyframes left out of the fit from which on they speak for it too. Default 10.
+    /// Decrease of χ² in keyframes left out of the fit from which on they speak for it too. Default 2, as for
+    /// the intrinsics.
     pub min_held_out_gain: f64,
     /// How much what it is without them may differ from what it is with them, as a share of it. Default 0.33.
     pub max_disagreement: f64,
@@ -32,7 +33,7 @@ impl Default for RollingShutterConfig {
             min_sigmas: 4.0,
             min_readout_ns: 3_000_000,
             max_found_ns: 60_000_000,
-            min_held_out_gain: 10.0,
+            min_held_out_gain: 2.0,
             max_disagreement: 0.33,
             min_move_sigmas: 1.0,
         }

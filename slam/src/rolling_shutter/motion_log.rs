@@ -1,13 +1,15 @@
 //! How the camera moved when keyframes were taken, by the frames beside them. [method: Rolling shutter]
 
-use super::{RollingShutter, Velocity};
+use super::{MAX_INTERVAL_NS, Velocity};
 use crate::map::{FramePose, FrameRecord, FrameState, Keyframe, KeyframeId, Map, SubmapId};
-use geometry::Pose;
 use std::collections::BTreeMap;
 
 /// Frames that are kept; the oldest go when there are more. Some two minutes, longer than a readout is looked
 /// for.
 const MAX_FRAMES: usize = 4000;
+
+/// Frames that are looked at to either side of a keyframe.
+const N_BESIDE: usize = 2;
 
 /// How the camera moved at keyframes.
 pub(crate) type Motions = BTreeMap<KeyframeId, Velocity>;
@@ -39,25 +41,46 @@ impl MotionLog {
         map.keyframes_of(submap).filter_map(motion).collect()
     }
 
-    /// As between the frames before and after, whichever there are.
+    /// The derivative of a smooth way through the places of the frames beside the keyframe: of a polynomial
+    /// through as many as there are, two before and two after it at most.
     fn velocity_at(&self, keyframe: &Keyframe, map: &Map) -> Option<Velocity> {
         let now_ns = keyframe.timestamp_ns;
-        let located = |(time_ns, place): (&i64, &FramePose)| {
+        let from_now = |(time_ns, place): (&i64, &FramePose)| {
             let (submap, pose) = map.locate(place)?;
-            (submap == keyframe.submap).then_some((*time_ns, pose))
+            let interval_ns = *time_ns - now_ns;
+            let is_beside = submap == keyframe.submap && interval_ns.abs() <= MAX_INTERVAL_NS;
+            is_beside.then(|| (interval_ns as f64, (pose * keyframe.camera_from_world.inverse()).log()))
         };
-        let before = self.frames.range(..now_ns).next_back().and_then(located);
-        let after = self.frames.range(now_ns + 1..).next().and_then(located);
-        let to = |(time_ns, pose): (i64, Pose)| {
-            let motion = pose * keyframe.camera_from_world.inverse();
-            Some((RollingShutter::velocity(&motion, time_ns - now_ns)?, (time_ns - now_ns).abs() as f64))
-        };
-        match (before.and_then(to), after.and_then(to)) {
-            // The nearer one counts for more: the motion of a smooth way at this time.
-            (Some((before, since)), Some((after, until))) => {
-                Some((before * until + after * since) / (since + until))
-            }
-            (one, other) => one.or(other).map(|(velocity, _)| velocity),
+        let before = self.frames.range(..now_ns).rev().take(N_BESIDE).map_while(from_now);
+        let after = self.frames.range(now_ns + 1..).take(N_BESIDE).map_while(from_now);
+        let beside: Vec<(f64, Velocity)> = before.chain(after).collect();
+        (!beside.is_empty()).then(|| derivative_at_zero(&beside))
+    }
+}
+
+/// The derivative at 0 of the polynomial that is 0 there and has these values at these times.
+fn derivative_at_zero(places: &[(f64, Velocity)]) -> Velocity {
+    let weight = |idx: usize| {
+        let (own, _) = places[idx];
+        let others = places.iter().enumerate().filter(|(other, _)| *other != idx);
+        others.map(|(_, (time, _))| time / (time - own)).product::<f64>() / own
+    };
+    places.iter().enumerate().map(|(idx, (_, place))| place * weight(idx)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_velocity_of_a_smooth_way_is_found_between_uneven_times() {
+        let rate = Velocity::new(0.3, -0.2, 0.1, 1.0, 2.0, -3.0);
+        let place = |time: f64| rate * (time + 0.4 * time.powi(2) - 0.3 * time.powi(3) + 0.2 * time.powi(4));
+        for times in [vec![-0.2, -0.1, 0.1, 0.25], vec![-0.1, 0.1, 0.2], vec![0.01]] {
+            let places: Vec<(f64, Velocity)> = times.iter().map(|time| (*time, place(*time))).collect();
+            let tolerance = if times.len() == 4 { 1e-12 } else { 0.03 };
+            let found = derivative_at_zero(&places);
+            assert!((found - rate).norm() < tolerance * rate.norm(), "{times:?}: {found}");
         }
     }
 }
