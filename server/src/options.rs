@@ -54,7 +54,8 @@ pub struct SessionOptions {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub find_mask: Option<bool>,
     /// Rolling shutter: milliseconds from the first row of an image to the last, as phones and webcams take 8
-    /// to 35. Left out it is taken for a global shutter, which reads all rows at once.
+    /// to 35; 0 is a global shutter, which reads all rows at once. Left out it is not known, and found where
+    /// the motion shows it, unless `refine_calibration` is off.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub readout_ms: Option<f64>,
 }

@@ -31,19 +31,24 @@ pub(crate) struct RollingShutter {
 }
 
 impl RollingShutter {
-    /// Of a readout that is looked for, with none at present.
-    pub fn unknown(camera: &Camera) -> Self {
-        Self { camera: camera.clone(), readout_ns: 0 }
+    /// With a readout that may be 0. `camera` is that of the images that features are looked for in.
+    pub fn new(camera: &Camera, readout_ns: i64) -> Self {
+        Self { camera: camera.clone(), readout_ns }
     }
 
-    /// `None` for a global shutter. `camera` is that of the images that features are looked for in.
-    pub fn new(camera: &Camera, readout_ns: i64) -> Option<Self> {
-        (readout_ns != 0).then(|| Self { camera: camera.clone(), readout_ns })
+    /// `None` for a global shutter.
+    pub fn of(camera: &Camera, readout_ns: i64) -> Option<Self> {
+        (readout_ns != 0).then(|| Self::new(camera, readout_ns))
     }
 
-    /// The same camera with another readout; none at all, if that is 0.
-    pub fn with_readout(&self, readout_ns: i64) -> Self {
-        Self { camera: self.camera.clone(), readout_ns }
+    /// From the first row to the last, nanoseconds.
+    pub fn readout_ns(&self) -> i64 {
+        self.readout_ns
+    }
+
+    /// Takes over another readout.
+    pub fn set_readout_ns(&mut self, readout_ns: i64) {
+        self.readout_ns = readout_ns;
     }
 
     /// How the camera moves that turned and shifted so from one frame to another, at the middle between them.
@@ -52,15 +57,16 @@ impl RollingShutter {
         is_known.then(|| motion.log() / interval_ns as f64)
     }
 
-    /// The features as the camera of the middle row sees them. `inverse_depth` is that of keypoint `i`, or of
-    /// what lies at a place.
+    /// The features as the camera of the middle row sees them if it moves so. It does not matter what was
+    /// taken out of them before. `inverse_depth` is that of keypoint `i`, or of what lies at a place.
     pub fn unroll(
         &self,
         rolled: &FrameFeatures,
         velocity: &Velocity,
         inverse_depth: impl Fn(Option<usize>, &Vector2<f64>) -> f64,
     ) -> FrameFeatures {
-        let (pinhole, twist) = (rolled.pinhole, velocity * self.readout_ns as f64);
+        let motion = velocity * self.readout_ns as f64;
+        let (pinhole, twist) = (rolled.pinhole, motion - rolled.unrolled);
         let place_of = |place: &Vector2<f64>, row: f64, inverse_depth: f64| {
             unrolled(&pinhole, &(twist * self.share(row)), place, inverse_depth).unwrap_or(*place)
         };
@@ -71,7 +77,7 @@ impl RollingShutter {
                 place_of(place, row, inverse_depth(None, place))
             },
         );
-        moved.readout_ns += self.readout_ns;
+        moved.unrolled = motion;
         moved
     }
 

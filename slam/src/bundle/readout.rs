@@ -96,7 +96,7 @@ impl Rolling<'_> {
     }
 
     fn factor(&self, keyframe: &Keyframe, feature_idx: usize) -> Option<RolledReprojectionFactor> {
-        let velocity = self.motions.get(&keyframe.id)?;
+        let velocity = self.motions.get(&keyframe.id)?.velocity;
         let row = f64::from(keyframe.features.keypoints[feature_idx].y);
         Some(RolledReprojectionFactor {
             still: CalibratedReprojectionFactor::of(keyframe, feature_idx),

@@ -17,7 +17,7 @@ pub struct RollingShutterConfig {
     /// Decrease of χ² in keyframes left out of the fit from which on they speak for it too. Default 2, as for
     /// the intrinsics.
     pub min_held_out_gain: f64,
-    /// How much what it is without them may differ from what it is with them, as a share of it. Default 0.33.
+    /// How much what it is without them may differ from what it is with them, as a share of it. Default 0.5.
     pub max_disagreement: f64,
     /// One that was taken over is changed by this many standard deviations or more. Default 1.
     pub min_move_sigmas: f64,
@@ -34,7 +34,7 @@ impl Default for RollingShutterConfig {
             min_readout_ns: 3_000_000,
             max_found_ns: 60_000_000,
             min_held_out_gain: 2.0,
-            max_disagreement: 0.33,
+            max_disagreement: 0.5,
             min_move_sigmas: 1.0,
         }
     }

@@ -71,7 +71,7 @@ pub(crate) struct Mapper {
     global: GlobalStage,
     /// Absent where the calibration is to be taken as it is.
     camera: Option<IntrinsicsMonitor>,
-    /// Absent where the readout of the camera's shutter is known.
+    /// Absent where all rows of an image are read at once.
     readout: Option<ReadoutMonitor>,
     /// Submaps that grew since they were adjusted by their primitives.
     grown: BTreeSet<SubmapId>,
@@ -236,7 +236,7 @@ impl Mapper {
     fn check_intrinsics(&mut self, share: f64) {
         let Some(camera) = self.camera.as_mut().filter(|_| self.global.is_idle()) else { return };
         let Some(submap) = camera.is_due(&self.map, share, &self.config.calibration) else { return };
-        let readout = self.readout.as_ref().map(|readout| readout.look(&self.map, submap));
+        let readout = self.readout.as_ref().and_then(|readout| readout.look(&self.map, submap));
         let task = Task::CheckIntrinsics { before: camera.memory(), readout };
         let done = self.global.start(task, &self.map, submap, &self.config);
         self.take_over(done);
@@ -296,6 +296,9 @@ impl Mapper {
                 self.events.extend(event);
                 if let Some(readout) = check.readout {
                     self.map.set_readout(readout);
+                    if let Some(monitor) = &mut self.readout {
+                        monitor.set_readout_ns(readout.readout_ns);
+                    }
                     self.unroll_keyframes();
                 }
                 if let Some(result) = check.adjusted {
@@ -318,11 +321,10 @@ impl Mapper {
         }
     }
 
-    /// Takes the readout that was found out of those keyframes in which it is not yet taken out.
+    /// Takes the readout out of the keyframes as well as their motion is known.
     fn unroll_keyframes(&mut self) {
-        let Some(readout) = &self.readout else { return };
-        for submap in self.map.submaps() {
-            readout.unroll(&mut self.map, submap);
+        if let Some(readout) = &mut self.readout {
+            readout.unroll(&mut self.map);
         }
     }
 

@@ -9,12 +9,17 @@ use crate::rolling_shutter::{MotionLog, Motions, RollingShutter};
 use crate::tracking::frame::TrackedFrame;
 use geometry::Camera;
 use geometry::nalgebra::Vector2;
+use std::collections::BTreeSet;
 use std::sync::atomic::AtomicBool;
 
-/// Looks for the readout as the map grows.
+/// Looks for the readout as the map grows, and takes it out of the keyframes.
 pub(super) struct ReadoutMonitor {
     shutter: RollingShutter,
     log: MotionLog,
+    /// Whether the readout was neither told nor found before.
+    is_looked_for: bool,
+    /// Keyframes out of which the readout was taken by a motion that will not be known better.
+    settled: BTreeSet<KeyframeId>,
 }
 
 /// What a look at the readout begins with.
@@ -31,13 +36,14 @@ pub(super) struct FoundReadout {
 }
 
 impl ReadoutMonitor {
-    /// `None` where the readout was told, or was found before. `working_camera` is that of the images that
-    /// features are looked for in.
+    /// `None` for a global shutter. `working_camera` is that of the images that features are looked for in.
     pub fn new(config: &SlamConfig, working_camera: &Camera, map: &Map) -> Option<Self> {
-        let is_unknown = config.rolling_shutter.readout_ns.is_none() && map.readout().is_none();
-        let is_looked_for = (is_unknown || std::env::var("DBG_TOLD").is_ok()) && config.features.refine_calibration;
-        let shutter = RollingShutter::unknown(working_camera);
-        is_looked_for.then(|| Self { shutter, log: MotionLog::default() })
+        let known_ns = config.rolling_shutter.readout_ns.or(map.readout().map(|readout| readout.readout_ns));
+        let is_looked_for = known_ns.is_none() && config.features.refine_calibration;
+        let shutter = RollingShutter::new(working_camera, known_ns.unwrap_or(0));
+        let (log, settled) = (MotionLog::default(), map.keyframes().map(|keyframe| keyframe.id).collect());
+        let is_rolling = is_looked_for || shutter.readout_ns() != 0;
+        is_rolling.then_some(Self { shutter, log, is_looked_for, settled })
     }
 
     /// Takes note of frames that were placed.
@@ -45,13 +51,28 @@ impl ReadoutMonitor {
         self.log.note(records);
     }
 
-    pub fn look(&self, map: &Map, submap: SubmapId) -> ReadoutLook {
-        ReadoutLook { shutter: self.shutter.clone(), motions: self.log.motions(map, submap) }
+    /// What a look at a submap begins with, if the readout is looked for.
+    pub fn look(&self, map: &Map, submap: SubmapId) -> Option<ReadoutLook> {
+        let motions = || self.log.motions(map, map.keyframes_of(submap));
+        self.is_looked_for.then(|| ReadoutLook { shutter: self.shutter.clone(), motions: motions() })
     }
 
-    /// Takes the map's readout out of the keyframes of a submap in which it is not yet taken out.
-    pub fn unroll(&self, map: &mut Map, submap: SubmapId) {
-        unroll_keyframes(map, &self.shutter, &self.log.motions(map, submap));
+    /// Takes over a readout that was found.
+    pub fn set_readout_ns(&mut self, readout_ns: i64) {
+        self.shutter.set_readout_ns(readout_ns);
+        self.settled.clear();
+    }
+
+    /// Takes the readout out of the keyframes in which it is not yet taken out, or was by what was known of
+    /// the motion before there were frames after them.
+    pub fn unroll(&mut self, map: &mut Map) {
+        if self.shutter.readout_ns() == 0 {
+            return;
+        }
+        let open = map.keyframes().filter(|keyframe| !self.settled.contains(&keyframe.id));
+        let motions = self.log.motions(map, open);
+        unroll_keyframes(map, &self.shutter, &motions);
+        self.settled.extend(motions.iter().filter(|(_, motion)| motion.is_between).map(|(id, _)| *id));
     }
 }
 
@@ -70,12 +91,12 @@ impl ReadoutLook {
         let (calibration, rolling_shutter) = (&config.calibration, &config.rolling_shutter);
         let rolling = Rolling { map, submap, shutter, motions, calibration };
         let Some(estimate) = rolling.estimate(aborted) else { return (!aborted()).then_some(None) };
-        let before_ns = map.readout().map_or(0, |readout| readout.readout_ns);
+        let before_ns = shutter.readout_ns();
         let readout_ns = before_ns + estimate.change_ns.round() as i64;
         let (n_keyframes, n_moving) = (map.n_keyframes(), motions.len());
         let (change_ns, sigma_ns) = (estimate.change_ns, estimate.sigma_ns);
         tracing::debug!(n_keyframes, n_moving, before_ns, change_ns, sigma_ns, "readout that explains the submap best");
-        if std::env::var("DBG_TOLD").is_ok() || !rolling_shutter.is_moved(before_ns, &estimate) {
+        if !rolling_shutter.is_moved(before_ns, &estimate) {
             return Some(None);
         }
         let held_out = rolling.hold_out(aborted);
@@ -95,7 +116,9 @@ impl ReadoutLook {
         let mut map = map.clone();
         estimate.write_into(&mut map);
         map.set_readout(readout);
-        unroll_keyframes(&mut map, shutter, motions);
+        let mut shutter = shutter.clone();
+        shutter.set_readout_ns(readout_ns);
+        unroll_keyframes(&mut map, &shutter, motions);
         let adjusted = adjust(&map, submap, config, abort)?;
         Some(Some(FoundReadout { readout, adjusted }))
     }
@@ -111,24 +134,21 @@ impl RollingShutterConfig {
     }
 }
 
-/// Takes the map's readout out of the features of keyframes in which it is not yet taken out and whose motion
-/// is known.
+/// Takes the readout out of the features of the keyframes whose motion is given. What was taken out by the
+/// motion before a keyframe is as good as what follows from that alone.
 fn unroll_keyframes(map: &mut Map, shutter: &RollingShutter, motions: &Motions) {
-    let Some(Readout { readout_ns, .. }) = map.readout() else { return };
-    let is_rolled = |keyframe: &&Keyframe| keyframe.features.readout_ns != readout_ns;
-    let rolled: Vec<KeyframeId> = map.keyframes().filter(is_rolled).map(|keyframe| keyframe.id).collect();
-    for id in rolled {
-        let (Some(keyframe), Some(velocity)) = (map.keyframe(id), motions.get(&id)) else { continue };
-        let shutter = shutter.with_readout(readout_ns - keyframe.features.readout_ns);
+    for (id, motion) in motions {
+        let is_better = |keyframe: &&Keyframe| motion.is_between || keyframe.features.unrolled.norm() == 0.0;
+        let Some(keyframe) = map.keyframe(*id).filter(is_better) else { continue };
         let frame = TrackedFrame::of_keyframe(keyframe);
         let Some(depths) = frame.inverse_depths(map) else { continue };
         let inverse_depth = |feature_idx: Option<usize>, place: &Vector2<f64>| {
             let seen = feature_idx.and_then(|idx| frame.inverse_depth_of(idx, map));
             seen.unwrap_or_else(|| depths.at(place))
         };
-        let unrolled = shutter.unroll(&keyframe.features, velocity, inverse_depth);
+        let unrolled = shutter.unroll(&keyframe.features, &motion.velocity, inverse_depth);
         if let Some(settled) = shutter.settle(&unrolled) {
-            map.move_features(id, settled);
+            map.move_features(*id, settled);
         }
     }
 }

@@ -56,7 +56,7 @@ impl Pipeline {
                 reason: format!("the mapping thread cannot be started: {error}"),
             })?,
         };
-        let rolling_shutter = RollingShutter::new(&working_camera, readout_ns(&config, &map));
+        let rolling_shutter = RollingShutter::of(&working_camera, readout_ns(&config, &map));
         let mut tracker = Tracker::new(config.clone(), working_camera, rolling_shutter.clone())?;
         tracker.sync_map(&map);
         let is_empty = map.n_keyframes() == 0;
@@ -188,7 +188,7 @@ impl Pipeline {
     /// Has what was found of the camera's shutter be taken out of what follows.
     pub(super) fn sync_rolling_shutter(&mut self) {
         let working_camera = self.config.working_camera(&self.camera);
-        let shutter = RollingShutter::new(&working_camera, readout_ns(&self.config, &self.map));
+        let shutter = RollingShutter::of(&working_camera, readout_ns(&self.config, &self.map));
         self.tracker.set_rolling_shutter(shutter.clone());
         self.backfill.set_rolling_shutter(shutter.clone());
         if let Some(initializer) = &mut self.initializer {

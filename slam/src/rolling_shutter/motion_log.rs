@@ -1,7 +1,7 @@
 //! How the camera moved when keyframes were taken, by the frames beside them. [method: Rolling shutter]
 
 use super::{MAX_INTERVAL_NS, Velocity};
-use crate::map::{FramePose, FrameRecord, FrameState, Keyframe, KeyframeId, Map, SubmapId};
+use crate::map::{FramePose, FrameRecord, FrameState, Keyframe, KeyframeId, Map};
 use std::collections::BTreeMap;
 
 /// Frames that are kept; the oldest go when there are more. Some two minutes, longer than a readout is looked
@@ -11,8 +11,16 @@ const MAX_FRAMES: usize = 4000;
 /// Frames that are looked at to either side of a keyframe.
 const N_BESIDE: usize = 2;
 
+/// How the camera moved at a keyframe.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Motion {
+    pub velocity: Velocity,
+    /// Whether there are frames before and after the keyframe, so that it will not be known better.
+    pub is_between: bool,
+}
+
 /// How the camera moved at keyframes.
-pub(crate) type Motions = BTreeMap<KeyframeId, Velocity>;
+pub(crate) type Motions = BTreeMap<KeyframeId, Motion>;
 
 /// Where frames were taken, as long as it matters how the camera moved between them.
 #[derive(Debug, Default)]
@@ -35,15 +43,14 @@ impl MotionLog {
         }
     }
 
-    /// How the camera moved at the keyframes of a submap, those that have frames beside them.
-    pub fn motions(&self, map: &Map, submap: SubmapId) -> Motions {
-        let motion = |keyframe: &Keyframe| Some((keyframe.id, self.velocity_at(keyframe, map)?));
-        map.keyframes_of(submap).filter_map(motion).collect()
+    /// How the camera moved at those keyframes that have frames beside them.
+    pub fn motions<'a>(&self, map: &Map, keyframes: impl Iterator<Item = &'a Keyframe>) -> Motions {
+        keyframes.filter_map(|keyframe| Some((keyframe.id, self.motion_at(keyframe, map)?))).collect()
     }
 
     /// The derivative of a smooth way through the places of the frames beside the keyframe: of a polynomial
     /// through as many as there are, two before and two after it at most.
-    fn velocity_at(&self, keyframe: &Keyframe, map: &Map) -> Option<Velocity> {
+    fn motion_at(&self, keyframe: &Keyframe, map: &Map) -> Option<Motion> {
         let now_ns = keyframe.timestamp_ns;
         let from_now = |(time_ns, place): (&i64, &FramePose)| {
             let (submap, pose) = map.locate(place)?;
@@ -54,7 +61,8 @@ impl MotionLog {
         let before = self.frames.range(..now_ns).rev().take(N_BESIDE).map_while(from_now);
         let after = self.frames.range(now_ns + 1..).take(N_BESIDE).map_while(from_now);
         let beside: Vec<(f64, Velocity)> = before.chain(after).collect();
-        (!beside.is_empty()).then(|| derivative_at_zero(&beside))
+        let is_between = beside.iter().any(|(time, _)| *time < 0.0) && beside.iter().any(|(time, _)| *time > 0.0);
+        (!beside.is_empty()).then(|| Motion { velocity: derivative_at_zero(&beside), is_between })
     }
 }
 
