@@ -333,6 +333,10 @@ impl Pipeline {
 
     /// Keeps a frame that has no pose for later, and places one of those kept before.
     fn step_backfill(&mut self, view: &View, result: &FrameResult) {
+        let is_readout_open = self.config.looks_for_readout(self.map.readout().is_some());
+        self.backfill.expect_readout(
+            is_readout_open && self.map.n_keyframes() <= self.config.rolling_shutter.keep_until_keyframes,
+        );
         match &result.frame {
             None => self.backfill.keep(view, None),
             Some(frame) => {

@@ -10,8 +10,8 @@ use super::factors::{
 use crate::config::CalibrationConfig;
 use crate::map::{Keyframe, KeyframeId, Map, Observation, PointId, SubmapId};
 use crate::rolling_shutter::{Motions, RollingShutter};
-use geometry::nalgebra::Vector3;
 use geometry::Pose;
+use geometry::nalgebra::Vector3;
 use optim::{GroupId, Kernel, Problem, SolverOptions, VariableId, chi2_95};
 use std::collections::BTreeMap;
 
@@ -206,17 +206,19 @@ impl Fit {
     }
 
     /// Standard deviation of the readout, seconds: with the errors of one point, or of one keyframe, taken as
-    /// one error, whichever says more.
+    /// one error, whichever says more, and no less than if all errors were independent and as large as said:
+    /// few keyframes show their errors too small.
     fn sigma_s(&mut self, calibration: &CalibrationConfig) -> f64 {
         let mut of = |cluster_of: &[usize]| {
             let covariance = self.problem.clustered_covariance(self.camera, self.observations, cluster_of)?;
             Some((covariance.expected[(5, 5)], covariance.observed[(5, 5)]))
         };
-        let (Some((expected, by_point)), Some((_, by_keyframe))) = (of(&self.point_of), of(&self.keyframe_of))
+        let (Some((expected, by_point)), Some((_, by_keyframe))) =
+            (of(&self.point_of), of(&self.keyframe_of))
         else {
             return f64::INFINITY;
         };
-        let variance = calibration.given_inflation * by_point.max(by_keyframe);
+        let variance = (calibration.given_inflation * by_point.max(by_keyframe)).max(expected);
         tracing::debug!(expected, by_point, by_keyframe, "variances of the readout, squared seconds");
         variance.sqrt()
     }

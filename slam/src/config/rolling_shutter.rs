@@ -8,17 +8,28 @@ pub struct RollingShutterConfig {
     /// Time from the first row to the last, nanoseconds; 0 for a global shutter. Default not known: it cannot
     /// be told from a camera's size, phones take 8 to 35 ms, and is found where the motion shows it.
     pub readout_ns: Option<i64>,
-    /// A readout that is not known is taken over if it is this many of its standard deviations. Default 4.
+    /// A readout that is not known is seen if it is this many of its standard deviations. Default 3.
     pub min_sigmas: f64,
+    /// One look is enough if it is this many, and keyframes left out of the fit speak for it; otherwise two
+    /// looks must agree. Default 4.
+    pub certain_sigmas: f64,
     /// And at least this, nanoseconds. Default 3 ms: what less does to an image is lost in its noise.
     pub min_readout_ns: i64,
-    /// And at most this, nanoseconds. Default 60 ms: slower cameras are none for video.
+    /// And at most this, nanoseconds. Default 50 ms: phones take up to 35.
     pub max_found_ns: i64,
     /// Decrease of χ² in keyframes left out of the fit from which on they speak for it too. Default 2, as for
     /// the intrinsics.
     pub min_held_out_gain: f64,
-    /// How much what it is without them may differ from what it is with them, as a share of it. Default 0.5.
+    /// How much what it changes by without them may differ from what it does with them, as a share of it.
+    /// Default 0.5.
+    pub max_held_out_difference: f64,
+    /// Looks agree that found the same to this share of it. Default 0.33, as for the intrinsics. That counts
+    /// where keyframes left out of the fit do not speak for a readout: points that were fitted with a wrong
+    /// one are bent so that they agree with it also in further views.
     pub max_disagreement: f64,
+    /// Frames are kept until there are this many keyframes, to be placed anew if a readout is found. Default
+    /// 25: the third look at the camera is at 23.
+    pub keep_until_keyframes: usize,
     /// One that was taken over is changed by this many standard deviations or more. Default 1.
     pub min_move_sigmas: f64,
 }
@@ -30,11 +41,14 @@ impl Default for RollingShutterConfig {
     fn default() -> Self {
         Self {
             readout_ns: None,
-            min_sigmas: 4.0,
+            min_sigmas: 3.0,
+            certain_sigmas: 4.0,
             min_readout_ns: 3_000_000,
-            max_found_ns: 60_000_000,
+            max_found_ns: 50_000_000,
             min_held_out_gain: 2.0,
-            max_disagreement: 0.5,
+            max_held_out_difference: 0.5,
+            max_disagreement: 0.33,
+            keep_until_keyframes: 25,
             min_move_sigmas: 1.0,
         }
     }

@@ -64,7 +64,9 @@ pub(super) struct IntrinsicsCheck {
     is_over: bool,
     /// The submap as it is with another camera.
     pub adjusted: Option<GlobalResult>,
-    /// The readout of the shutter, if that was found.
+    /// The readout of the shutter that the submap shows, nanoseconds, if it shows one.
+    pub seen_readout_ns: Option<f64>,
+    /// The readout, if it was taken over.
     pub readout: Option<Readout>,
     /// Where the new camera is so far from the one before that its map has to be gone over.
     pub search_again: Option<SubmapId>,
@@ -148,14 +150,18 @@ impl Look<'_> {
     /// meanwhile.
     pub fn check(&self, before: Memory, readout: Option<&ReadoutLook>) -> Option<IntrinsicsCheck> {
         let aborted = || self.is_aborted();
-        let found = match readout {
-            Some(look) => look.check(self.map, self.submap, self.config, self.abort, aborted)?,
-            None => None,
+        let (seen_readout_ns, found) = match readout {
+            Some(look) => {
+                let check = look.check(self.map, self.submap, self.config, self.abort, aborted)?;
+                (check.seen_ns, check.found)
+            }
+            None => (None, None),
         };
-        match found {
-            Some(found) => Some(self.with_readout(found, before)),
-            None => self.check_intrinsics(before),
-        }
+        let check = match found {
+            Some(found) => self.with_readout(found, before),
+            None => self.check_intrinsics(before)?,
+        };
+        Some(IntrinsicsCheck { seen_readout_ns, ..check })
     }
 
     fn with_readout(&self, found: FoundReadout, before: Memory) -> IntrinsicsCheck {
@@ -163,7 +169,15 @@ impl Look<'_> {
         let event = Some(MapEvent::ReadoutFound { readout });
         let (readout, adjusted) = (Some(readout), Some(adjusted));
         let search_again = Some(self.submap);
-        IntrinsicsCheck { memory: before, event, is_over: false, readout, adjusted, search_again }
+        IntrinsicsCheck {
+            memory: before,
+            event,
+            is_over: false,
+            seen_readout_ns: None,
+            readout,
+            adjusted,
+            search_again,
+        }
     }
 
     fn check_intrinsics(&self, before: Memory) -> Option<IntrinsicsCheck> {
@@ -200,8 +214,15 @@ impl Look<'_> {
         let memory = Memory { is_known, doubt: None, is_undetermined, ..before };
         let undetermined = (is_undetermined && !before.is_undetermined)
             .then_some(MapEvent::CalibrationUndetermined { focal_sigma });
-        let nothing =
-            IntrinsicsCheck { memory, event: None, is_over: false, readout: None, adjusted: None, search_again: None };
+        let nothing = IntrinsicsCheck {
+            memory,
+            event: None,
+            is_over: false,
+            seen_readout_ns: None,
+            readout: None,
+            adjusted: None,
+            search_again: None,
+        };
         if !estimate.moves(&self.map.correction(), config.min_move_sigmas) {
             return Some(IntrinsicsCheck { event: undetermined, ..nothing });
         }
@@ -226,6 +247,7 @@ impl Look<'_> {
             memory: Memory::default(),
             event: None,
             is_over: false,
+            seen_readout_ns: None,
             readout: None,
             adjusted: None,
             search_again: None,
@@ -293,6 +315,7 @@ impl Look<'_> {
             memory: Memory::default(),
             event: Some(MapEvent::CalibrationContradicted { correction: wide.correction }),
             is_over: true,
+            seen_readout_ns: None,
             readout: None,
             adjusted: None,
             search_again: None,

@@ -18,8 +18,8 @@ use crate::map::{
     FramePose, FrameRecord, Keyframe, KeyframeId, Map, MapUpdate, Observation, PointId, SubmapId,
 };
 use crate::report::{LineJudgement, MapEvent};
-use geometry::{Camera, CameraCorrection};
 use geometry::nalgebra::Vector3;
+use geometry::{Camera, CameraCorrection};
 use global_stage::{Done, GlobalStage, Task};
 use intrinsics::IntrinsicsMonitor;
 use lines::LineMapper;
@@ -294,11 +294,11 @@ impl Mapper {
                     _ => {}
                 }
                 self.events.extend(event);
+                if let Some(monitor) = &mut self.readout {
+                    monitor.note_look(check.seen_readout_ns, check.readout);
+                }
                 if let Some(readout) = check.readout {
                     self.map.set_readout(readout);
-                    if let Some(monitor) = &mut self.readout {
-                        monitor.set_readout_ns(readout.readout_ns);
-                    }
                     self.unroll_keyframes();
                 }
                 if let Some(result) = check.adjusted {

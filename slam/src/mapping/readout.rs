@@ -2,7 +2,7 @@
 //! measured. [method: Rolling shutter]
 
 use crate::bundle::global::{GlobalResult, adjust};
-use crate::bundle::readout::{ReadoutEstimate, Rolling};
+use crate::bundle::readout::{HeldOutReadout, ReadoutEstimate, Rolling};
 use crate::config::{RollingShutterConfig, SlamConfig};
 use crate::map::{FrameRecord, Keyframe, KeyframeId, Map, Readout, SubmapId};
 use crate::rolling_shutter::{MotionLog, Motions, RollingShutter};
@@ -18,6 +18,8 @@ pub(super) struct ReadoutMonitor {
     log: MotionLog,
     /// Whether the readout was neither told nor found before.
     is_looked_for: bool,
+    /// What the last look found, nanoseconds.
+    last_ns: Option<f64>,
     /// Keyframes out of which the readout was taken by a motion that will not be known better.
     settled: BTreeSet<KeyframeId>,
 }
@@ -27,6 +29,16 @@ pub(super) struct ReadoutMonitor {
 pub(super) struct ReadoutLook {
     shutter: RollingShutter,
     motions: Motions,
+    /// What the look before found, nanoseconds.
+    before_ns: Option<f64>,
+}
+
+/// What a look at the readout came to.
+pub(super) struct ReadoutCheck {
+    /// By which readout the submap is explained best, nanoseconds, if it shows one.
+    pub seen_ns: Option<f64>,
+    /// That readout, if it is to be taken over.
+    pub found: Option<FoundReadout>,
 }
 
 /// A readout that was found, and the submap as it is with it.
@@ -39,11 +51,11 @@ impl ReadoutMonitor {
     /// `None` for a global shutter. `working_camera` is that of the images that features are looked for in.
     pub fn new(config: &SlamConfig, working_camera: &Camera, map: &Map) -> Option<Self> {
         let known_ns = config.rolling_shutter.readout_ns.or(map.readout().map(|readout| readout.readout_ns));
-        let is_looked_for = known_ns.is_none() && config.features.refine_calibration;
+        let is_looked_for = config.looks_for_readout(map.readout().is_some());
         let shutter = RollingShutter::new(working_camera, known_ns.unwrap_or(0));
         let (log, settled) = (MotionLog::default(), map.keyframes().map(|keyframe| keyframe.id).collect());
         let is_rolling = is_looked_for || shutter.readout_ns() != 0;
-        is_rolling.then_some(Self { shutter, log, is_looked_for, settled })
+        is_rolling.then_some(Self { shutter, log, is_looked_for, last_ns: None, settled })
     }
 
     /// Takes note of frames that were placed.
@@ -54,13 +66,17 @@ impl ReadoutMonitor {
     /// What a look at a submap begins with, if the readout is looked for.
     pub fn look(&self, map: &Map, submap: SubmapId) -> Option<ReadoutLook> {
         let motions = || self.log.motions(map, map.keyframes_of(submap));
-        self.is_looked_for.then(|| ReadoutLook { shutter: self.shutter.clone(), motions: motions() })
+        let (shutter, before_ns) = (&self.shutter, self.last_ns);
+        self.is_looked_for.then(|| ReadoutLook { shutter: shutter.clone(), motions: motions(), before_ns })
     }
 
-    /// Takes over a readout that was found.
-    pub fn set_readout_ns(&mut self, readout_ns: i64) {
-        self.shutter.set_readout_ns(readout_ns);
-        self.settled.clear();
+    /// Takes note of what the last look found, and of the readout if it is to be taken over.
+    pub fn note_look(&mut self, seen_ns: Option<f64>, found: Option<Readout>) {
+        self.last_ns = seen_ns;
+        if let Some(Readout { readout_ns, .. }) = found {
+            self.shutter.set_readout_ns(readout_ns);
+            self.settled.clear();
+        }
     }
 
     /// Takes the readout out of the keyframes in which it is not yet taken out, or was by what was known of
@@ -77,8 +93,9 @@ impl ReadoutMonitor {
 }
 
 impl ReadoutLook {
-    /// The readout, if the submap shows it, it is another than what was taken out so far, and keyframes left
-    /// out of the fit agree. `None` within if it does not; `None` if `aborted` said so.
+    /// The readout is to be taken over if the submap shows it, it is another than what was taken out so far,
+    /// it is much the same without every third keyframe, and these are explained better by it, or the look
+    /// before found the same. `None` if `aborted` said so.
     pub fn check(
         &self,
         map: &Map,
@@ -86,32 +103,29 @@ impl ReadoutLook {
         config: &SlamConfig,
         abort: &AtomicBool,
         aborted: impl Fn() -> bool + Copy,
-    ) -> Option<Option<FoundReadout>> {
-        let Self { shutter, motions } = self;
-        let (calibration, rolling_shutter) = (&config.calibration, &config.rolling_shutter);
+    ) -> Option<ReadoutCheck> {
+        let Self { shutter, motions, .. } = self;
+        let calibration = &config.calibration;
         let rolling = Rolling { map, submap, shutter, motions, calibration };
-        let Some(estimate) = rolling.estimate(aborted) else { return (!aborted()).then_some(None) };
-        let before_ns = shutter.readout_ns();
-        let readout_ns = before_ns + estimate.change_ns.round() as i64;
-        let (n_keyframes, n_moving) = (map.n_keyframes(), motions.len());
+        let nothing = ReadoutCheck { seen_ns: None, found: None };
+        let Some(estimate) = rolling.estimate(aborted) else { return (!aborted()).then_some(nothing) };
+        let (n_keyframes, n_moving, known_ns) = (map.n_keyframes(), motions.len(), shutter.readout_ns());
         let (change_ns, sigma_ns) = (estimate.change_ns, estimate.sigma_ns);
-        tracing::debug!(n_keyframes, n_moving, before_ns, change_ns, sigma_ns, "readout that explains the submap best");
-        if !rolling_shutter.is_moved(before_ns, &estimate) {
-            return Some(None);
+        tracing::debug!(n_keyframes, n_moving, known_ns, change_ns, sigma_ns, "readout that explains best");
+        if !config.rolling_shutter.shows(known_ns, &estimate) {
+            return Some(nothing);
         }
+        let seen_ns = Some(known_ns as f64 + change_ns);
         let held_out = rolling.hold_out(aborted);
         if aborted() {
             return None;
         }
         tracing::debug!(?held_out, "what keyframes left out of the fit say of the readout");
-        let agrees = held_out.is_some_and(|held_out| {
-            let difference_ns = (held_out.change_ns - change_ns).abs();
-            held_out.gain >= rolling_shutter.min_held_out_gain
-                && difference_ns <= rolling_shutter.max_disagreement * change_ns.abs()
-        });
-        if !agrees {
-            return Some(None);
+        if !held_out.is_some_and(|held_out| self.is_confirmed(&estimate, &held_out, &config.rolling_shutter))
+        {
+            return Some(ReadoutCheck { seen_ns, found: None });
         }
+        let readout_ns = known_ns + change_ns.round() as i64;
         let readout = Readout { readout_ns, sigma_ns: sigma_ns.round() as i64 };
         let mut map = map.clone();
         estimate.write_into(&mut map);
@@ -120,17 +134,38 @@ impl ReadoutLook {
         shutter.set_readout_ns(readout_ns);
         unroll_keyframes(&mut map, &shutter, motions);
         let adjusted = adjust(&map, submap, config, abort)?;
-        Some(Some(FoundReadout { readout, adjusted }))
+        Some(ReadoutCheck { seen_ns, found: Some(FoundReadout { readout, adjusted }) })
+    }
+
+    /// Whether an estimate may be believed.
+    fn is_confirmed(
+        &self,
+        estimate: &ReadoutEstimate,
+        held_out: &HeldOutReadout,
+        config: &RollingShutterConfig,
+    ) -> bool {
+        let known_ns = self.shutter.readout_ns();
+        let now_ns = known_ns as f64 + estimate.change_ns;
+        let was_seen = self.before_ns.is_some_and(|before_ns| config.agree(before_ns, now_ns));
+        let is_certain = known_ns != 0 || estimate.change_ns >= config.certain_sigmas * estimate.sigma_ns;
+        let difference_ns = (held_out.change_ns - estimate.change_ns).abs();
+        difference_ns <= config.max_held_out_difference * estimate.change_ns.abs()
+            && (was_seen || (is_certain && held_out.gain >= config.min_held_out_gain))
     }
 }
 
 impl RollingShutterConfig {
-    /// Whether an estimate shows a readout that differs from the one so far.
-    fn is_moved(&self, before_ns: i64, estimate: &ReadoutEstimate) -> bool {
-        let readout_ns = before_ns as f64 + estimate.change_ns;
+    /// Whether an estimate shows a readout that differs from the one known so far.
+    fn shows(&self, known_ns: i64, estimate: &ReadoutEstimate) -> bool {
+        let readout_ns = known_ns as f64 + estimate.change_ns;
         let is_credible = (self.min_readout_ns as f64..=self.max_found_ns as f64).contains(&readout_ns);
-        let min_sigmas = if before_ns == 0 { self.min_sigmas } else { self.min_move_sigmas };
+        let min_sigmas = if known_ns == 0 { self.min_sigmas } else { self.min_move_sigmas };
         is_credible && estimate.change_ns.abs() >= min_sigmas * estimate.sigma_ns
+    }
+
+    /// Whether two looks found the same.
+    fn agree(&self, before_ns: f64, now_ns: f64) -> bool {
+        (now_ns - before_ns).abs() <= self.max_disagreement * now_ns.abs()
     }
 }
 

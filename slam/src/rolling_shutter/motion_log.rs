@@ -61,7 +61,8 @@ impl MotionLog {
         let before = self.frames.range(..now_ns).rev().take(N_BESIDE).map_while(from_now);
         let after = self.frames.range(now_ns + 1..).take(N_BESIDE).map_while(from_now);
         let beside: Vec<(f64, Velocity)> = before.chain(after).collect();
-        let is_between = beside.iter().any(|(time, _)| *time < 0.0) && beside.iter().any(|(time, _)| *time > 0.0);
+        let is_between =
+            beside.iter().any(|(time, _)| *time < 0.0) && beside.iter().any(|(time, _)| *time > 0.0);
         (!beside.is_empty()).then(|| Motion { velocity: derivative_at_zero(&beside), is_between })
     }
 }

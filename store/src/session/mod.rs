@@ -6,8 +6,8 @@ use crate::mask::write_mask;
 use crate::number::{from_column, from_column_u32, to_column};
 use crate::{Page, Store, StoreError};
 use geometry::{Camera, CameraCorrection, CameraParameters};
-use slam::{Map, SceneMask};
 use slam::map::{FrameState, LastIds, Readout};
+use slam::{Map, SceneMask};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 

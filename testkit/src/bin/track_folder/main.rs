@@ -17,8 +17,8 @@ use geometry::{Camera, CameraParameters};
 use recordings::{Recording, Trajectory, find_folder};
 use slam::map::{FrameRecord, FrameState};
 use slam::{
-    CalibrationTrust, FeatureSwitches, Frame, Pipeline, ResumeState, RollingShutterConfig, SceneMask, SlamConfig,
-    Threading,
+    CalibrationTrust, FeatureSwitches, Frame, Pipeline, ResumeState, RollingShutterConfig, SceneMask,
+    SlamConfig, Threading,
 };
 use std::collections::BTreeMap;
 use std::error::Error;
