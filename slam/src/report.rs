@@ -222,10 +222,7 @@ pub enum MapEvent {
     },
     /// The camera reads the rows of an image one after the other, and takes so long: that is taken out of what
     /// it sees, and the map was adjusted to it.
-    ReadoutFound {
-        /// How long it takes.
-        readout: Readout,
-    },
+    ReadoutFound(Readout),
     /// The images contradict the calibration by more than it can be wrong by: it is used as it was given. The
     /// lens may be described wrongly, or the images may have been resized or cropped.
     CalibrationContradicted {
@@ -241,10 +238,7 @@ impl MapEvent {
             Self::LoopClosed { keyframe, matched, .. } | Self::SubmapsMerged { keyframe, matched, .. } => {
                 Some((*keyframe, *matched))
             }
-            Self::CalibrationRefined { .. }
-            | Self::CalibrationContradicted { .. }
-            | Self::CalibrationUndetermined { .. }
-            | Self::ReadoutFound { .. } => None,
+            _ => None,
         }
     }
 
@@ -252,10 +246,7 @@ impl MapEvent {
     pub fn n_matches(&self) -> usize {
         match self {
             Self::LoopClosed { n_matches, .. } | Self::SubmapsMerged { n_matches, .. } => *n_matches,
-            Self::CalibrationRefined { .. }
-            | Self::CalibrationContradicted { .. }
-            | Self::CalibrationUndetermined { .. }
-            | Self::ReadoutFound { .. } => 0,
+            _ => 0,
         }
     }
 
@@ -272,17 +263,14 @@ impl MapEvent {
         match self {
             Self::CalibrationRefined { correction, .. } => Some((*correction, true)),
             Self::CalibrationContradicted { correction } => Some((*correction, false)),
-            Self::LoopClosed { .. }
-            | Self::SubmapsMerged { .. }
-            | Self::CalibrationUndetermined { .. }
-            | Self::ReadoutFound { .. } => None,
+            _ => None,
         }
     }
 
     /// How long the camera takes to read an image, where that was found.
     pub fn readout(&self) -> Option<Readout> {
         match self {
-            Self::ReadoutFound { readout } => Some(*readout),
+            Self::ReadoutFound(readout) => Some(*readout),
             _ => None,
         }
     }

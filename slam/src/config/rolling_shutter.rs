@@ -30,7 +30,9 @@ pub struct RollingShutterConfig {
     /// Frames are kept until there are this many keyframes, to be placed anew if a readout is found. Default
     /// 25: the third look at the camera is at 23.
     pub keep_until_keyframes: usize,
-    /// One that was taken over is changed by this many standard deviations or more. Default 1.
+    /// One that was taken over is changed by this many standard deviations or more, if keyframes left out of the
+    /// fit do not speak against it. Default 0.5: the newer is the better one, as frames were placed without
+    /// regard to the shutter before.
     pub min_move_sigmas: f64,
 }
 
@@ -49,7 +51,7 @@ impl Default for RollingShutterConfig {
             max_held_out_difference: 0.5,
             max_disagreement: 0.33,
             keep_until_keyframes: 25,
-            min_move_sigmas: 1.0,
+            min_move_sigmas: 0.5,
         }
     }
 }

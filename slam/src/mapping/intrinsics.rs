@@ -58,6 +58,7 @@ struct Doubt {
 }
 
 /// What a look at the camera came to.
+#[derive(Default)]
 pub(super) struct IntrinsicsCheck {
     memory: Memory,
     event: Option<MapEvent>,
@@ -166,18 +167,10 @@ impl Look<'_> {
 
     fn with_readout(&self, found: FoundReadout, before: Memory) -> IntrinsicsCheck {
         let FoundReadout { readout, adjusted } = found;
-        let event = Some(MapEvent::ReadoutFound { readout });
+        let event = Some(MapEvent::ReadoutFound(readout));
         let (readout, adjusted) = (Some(readout), Some(adjusted));
         let search_again = Some(self.submap);
-        IntrinsicsCheck {
-            memory: before,
-            event,
-            is_over: false,
-            seen_readout_ns: None,
-            readout,
-            adjusted,
-            search_again,
-        }
+        IntrinsicsCheck { memory: before, event, readout, adjusted, search_again, ..Default::default() }
     }
 
     fn check_intrinsics(&self, before: Memory) -> Option<IntrinsicsCheck> {
@@ -214,15 +207,7 @@ impl Look<'_> {
         let memory = Memory { is_known, doubt: None, is_undetermined, ..before };
         let undetermined = (is_undetermined && !before.is_undetermined)
             .then_some(MapEvent::CalibrationUndetermined { focal_sigma });
-        let nothing = IntrinsicsCheck {
-            memory,
-            event: None,
-            is_over: false,
-            seen_readout_ns: None,
-            readout: None,
-            adjusted: None,
-            search_again: None,
-        };
+        let nothing = IntrinsicsCheck { memory, ..IntrinsicsCheck::default() };
         if !estimate.moves(&self.map.correction(), config.min_move_sigmas) {
             return Some(IntrinsicsCheck { event: undetermined, ..nothing });
         }
@@ -243,15 +228,7 @@ impl Look<'_> {
     fn check_given(&self, before: Memory) -> Option<IntrinsicsCheck> {
         let config = &self.config.calibration;
         let held = self.estimate(config.knowledge(), false)?;
-        let nothing = IntrinsicsCheck {
-            memory: Memory::default(),
-            event: None,
-            is_over: false,
-            seen_readout_ns: None,
-            readout: None,
-            adjusted: None,
-            search_again: None,
-        };
+        let nothing = IntrinsicsCheck::default();
         if config.suspected
             && let Some(contradicted) = self.check_suspected()?
         {
@@ -312,13 +289,9 @@ impl Look<'_> {
             return self.find(knowledge, memory).map(Some);
         }
         Some(Some(IntrinsicsCheck {
-            memory: Memory::default(),
             event: Some(MapEvent::CalibrationContradicted { correction: wide.correction }),
             is_over: true,
-            seen_readout_ns: None,
-            readout: None,
-            adjusted: None,
-            search_again: None,
+            ..IntrinsicsCheck::default()
         }))
     }
 

@@ -140,6 +140,7 @@ impl Mapper {
             // Only the directions that the first views show say how the map lay before anything drifted.
             [first, second].into_iter().for_each(|id| primitives.extend(&mut self.map, id, &self.config));
         }
+        self.note_motion(&initial.frames);
         self.update(initial.frames)
     }
 
@@ -161,6 +162,9 @@ impl Mapper {
         abort: &AtomicBool,
     ) -> MapUpdate {
         self.take_over_global(false);
+        if let Some(readout) = &mut self.readout {
+            readout.note_keyframe(&new, &self.map);
+        }
         let id = new.keyframe.id;
         for (point, n_visible, n_found) in new.visibility.iter() {
             self.map.count_visibility(point, n_visible, n_found);
@@ -175,7 +179,6 @@ impl Mapper {
             frames.iter_mut().filter(of_it).for_each(|frame| frame.pose = Some(new.place));
             return self.update(frames);
         }
-        self.note_motion(&new.frames);
         self.unroll_keyframes();
         culling::cull_recent_points(&mut self.map, &mut self.recent_points, id, &self.config.mapping);
         let made = triangulation::triangulate_with_neighbors(&mut self.map, id, &self.config.mapping);
@@ -197,6 +200,7 @@ impl Mapper {
     /// Adds frames to the trajectory.
     pub fn record(&mut self, frames: Vec<FrameRecord>) -> MapUpdate {
         self.take_over_global(false);
+        self.note_motion(&frames);
         self.update(frames)
     }
 
@@ -317,7 +321,7 @@ impl Mapper {
 
     fn note_motion(&mut self, frames: &[FrameRecord]) {
         if let Some(readout) = &mut self.readout {
-            readout.note(frames);
+            readout.note(frames, &self.map);
         }
     }
 
@@ -374,7 +378,6 @@ impl Mapper {
     }
 
     fn update(&mut self, frames: Vec<FrameRecord>) -> MapUpdate {
-        self.note_motion(&frames);
         let mut changes = self.map.take_changes();
         changes.enlarged = self.config.enlarge_for_border && !changes.keyframes.is_empty();
         debug_assert_eq!(self.map.check(), Ok(()));

@@ -1,14 +1,15 @@
 //! Rolling shutter: looking for a readout that was not told, and taking it out of what the keyframes
 //! measured. [method: Rolling shutter]
 
+use super::NewKeyframe;
 use crate::bundle::global::{GlobalResult, adjust};
 use crate::bundle::readout::{HeldOutReadout, ReadoutEstimate, Rolling};
 use crate::config::{RollingShutterConfig, SlamConfig};
-use crate::map::{FrameRecord, Keyframe, KeyframeId, Map, Readout, SubmapId};
+use crate::map::{FramePose, FrameRecord, Keyframe, KeyframeId, Map, Readout, SubmapId};
 use crate::rolling_shutter::{MotionLog, Motions, RollingShutter};
 use crate::tracking::frame::TrackedFrame;
-use geometry::Camera;
 use geometry::nalgebra::Vector2;
+use geometry::{Camera, Pose};
 use std::collections::BTreeSet;
 use std::sync::atomic::AtomicBool;
 
@@ -58,14 +59,29 @@ impl ReadoutMonitor {
         is_rolling.then_some(Self { shutter, log, is_looked_for, last_ns: None, settled })
     }
 
-    /// Takes note of frames that were placed.
-    pub fn note(&mut self, records: &[FrameRecord]) {
-        self.log.note(records);
+    /// Takes note of frames that were placed in this map.
+    pub fn note(&mut self, records: &[FrameRecord], map: &Map) {
+        self.log.note(records, map);
+    }
+
+    /// Takes note of frames that were placed in this map, the last of which becomes a keyframe of it.
+    pub fn note_keyframe(&mut self, new: &NewKeyframe, map: &Map) {
+        let NewKeyframe { keyframe, place, frames, .. } = new;
+        let as_tracked = |record: &FrameRecord| match record.pose {
+            Some(pose) if pose.reference == keyframe.id => {
+                FrameRecord { pose: Some(*place), ..record.clone() }
+            }
+            _ => record.clone(),
+        };
+        let frames: Vec<FrameRecord> = frames.iter().map(as_tracked).collect();
+        self.log.note(&frames, map);
+        let (reference, camera_from_reference) = (keyframe.id, Pose::identity());
+        self.log.settle(keyframe.timestamp_ns, FramePose { reference, camera_from_reference, ..*place });
     }
 
     /// What a look at a submap begins with, if the readout is looked for.
     pub fn look(&self, map: &Map, submap: SubmapId) -> Option<ReadoutLook> {
-        let motions = || self.log.motions(map, map.keyframes_of(submap));
+        let motions = || self.log.motions(map.keyframes_of(submap));
         let (shutter, before_ns) = (&self.shutter, self.last_ns);
         self.is_looked_for.then(|| ReadoutLook { shutter: shutter.clone(), motions: motions(), before_ns })
     }
@@ -86,7 +102,7 @@ impl ReadoutMonitor {
             return;
         }
         let open = map.keyframes().filter(|keyframe| !self.settled.contains(&keyframe.id));
-        let motions = self.log.motions(map, open);
+        let motions = self.log.motions(open);
         unroll_keyframes(map, &self.shutter, &motions);
         self.settled.extend(motions.iter().filter(|(_, motion)| motion.is_between).map(|(id, _)| *id));
     }
@@ -147,10 +163,14 @@ impl ReadoutLook {
         let known_ns = self.shutter.readout_ns();
         let now_ns = known_ns as f64 + estimate.change_ns;
         let was_seen = self.before_ns.is_some_and(|before_ns| config.agree(before_ns, now_ns));
-        let is_certain = known_ns != 0 || estimate.change_ns >= config.certain_sigmas * estimate.sigma_ns;
+        let (is_certain, min_gain) = if known_ns == 0 {
+            (estimate.change_ns >= config.certain_sigmas * estimate.sigma_ns, config.min_held_out_gain)
+        } else {
+            (true, 0.0)
+        };
         let difference_ns = (held_out.change_ns - estimate.change_ns).abs();
         difference_ns <= config.max_held_out_difference * estimate.change_ns.abs()
-            && (was_seen || (is_certain && held_out.gain >= config.min_held_out_gain))
+            && (was_seen || (is_certain && held_out.gain >= min_gain))
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::{MAX_INTERVAL_NS, Velocity};
 use crate::map::{FramePose, FrameRecord, FrameState, Keyframe, KeyframeId, Map};
+use geometry::Pose;
 use std::collections::BTreeMap;
 
 /// Frames that are kept; the oldest go when there are more. Some two minutes, longer than a readout is looked
@@ -22,48 +23,103 @@ pub(crate) struct Motion {
 /// How the camera moved at keyframes.
 pub(crate) type Motions = BTreeMap<KeyframeId, Motion>;
 
-/// Where frames were taken, as long as it matters how the camera moved between them.
+/// How the camera moved from frame to frame, as it was when they were tracked: adjustment moves keyframes one
+/// against the other by more than the camera moves while an image is read.
 #[derive(Debug, Default)]
 pub(crate) struct MotionLog {
     /// By time, nanoseconds.
-    frames: BTreeMap<i64, FramePose>,
+    frames: BTreeMap<i64, Noted>,
+}
+
+/// A frame that was placed.
+#[derive(Debug)]
+struct Noted {
+    place: FramePose,
+    from_before: Option<Step>,
+}
+
+/// The way from one frame to the next.
+#[derive(Clone, Copy, Debug)]
+struct Step {
+    /// `camera_after_from_camera_before`.
+    motion: Pose,
+    /// The [local scale](Keyframe::local_scale) it was measured in.
+    local_scale: f64,
 }
 
 impl MotionLog {
-    /// Takes note of frames that were placed; poor poses jump about and are passed over.
-    pub fn note(&mut self, records: &[FrameRecord]) {
+    /// Takes note of frames that were placed, in the map that they were placed in; poor poses jump about and
+    /// are passed over.
+    pub fn note(&mut self, records: &[FrameRecord], map: &Map) {
         for record in records {
             match record.pose.filter(|_| record.state == FrameState::Tracked) {
-                Some(pose) => self.frames.insert(record.timestamp_ns, pose),
+                Some(place) => self.frames.insert(record.timestamp_ns, Noted { place, from_before: None }),
                 None => self.frames.remove(&record.timestamp_ns),
             };
+        }
+        for record in records {
+            let after_ns = self.frames.range(record.timestamp_ns + 1..).next().map(|(time_ns, _)| *time_ns);
+            for time_ns in [Some(record.timestamp_ns), after_ns].into_iter().flatten() {
+                let step = self.step_to(time_ns, map);
+                self.frames.entry(time_ns).and_modify(|noted| noted.from_before = step);
+            }
         }
         while self.frames.len() > MAX_FRAMES {
             self.frames.pop_first();
         }
     }
 
+    /// A frame is where it is put from now on; how the camera came there stays.
+    pub fn settle(&mut self, time_ns: i64, place: FramePose) {
+        self.frames.entry(time_ns).and_modify(|noted| noted.place = place);
+    }
+
     /// How the camera moved at those keyframes that have frames beside them.
-    pub fn motions<'a>(&self, map: &Map, keyframes: impl Iterator<Item = &'a Keyframe>) -> Motions {
-        keyframes.filter_map(|keyframe| Some((keyframe.id, self.motion_at(keyframe, map)?))).collect()
+    pub fn motions<'a>(&self, keyframes: impl Iterator<Item = &'a Keyframe>) -> Motions {
+        keyframes.filter_map(|keyframe| Some((keyframe.id, self.motion_at(keyframe)?))).collect()
+    }
+
+    /// From the frame before, if they are in one submap and not far apart in time.
+    fn step_to(&self, time_ns: i64, map: &Map) -> Option<Step> {
+        let place = &self.frames.get(&time_ns)?.place;
+        let (before_ns, before) = self.frames.range(..time_ns).next_back()?;
+        let (submap, camera_from_world) = map.locate(place)?;
+        let (submap_before, before_from_world) = map.locate(&before.place)?;
+        let is_near = submap == submap_before && time_ns - before_ns <= MAX_INTERVAL_NS;
+        let motion = camera_from_world * before_from_world.inverse();
+        let local_scale = map.anchor_of(place.reference)?.local_scale;
+        is_near.then_some(Step { motion, local_scale })
     }
 
     /// The derivative of a smooth way through the places of the frames beside the keyframe: of a polynomial
     /// through as many as there are, two before and two after it at most.
-    fn motion_at(&self, keyframe: &Keyframe, map: &Map) -> Option<Motion> {
+    fn motion_at(&self, keyframe: &Keyframe) -> Option<Motion> {
         let now_ns = keyframe.timestamp_ns;
-        let from_now = |(time_ns, place): (&i64, &FramePose)| {
-            let (submap, pose) = map.locate(place)?;
-            let interval_ns = *time_ns - now_ns;
-            let is_beside = submap == keyframe.submap && interval_ns.abs() <= MAX_INTERVAL_NS;
-            is_beside.then(|| (interval_ns as f64, (pose * keyframe.camera_from_world.inverse()).log()))
+        let step_to = |noted: &Noted| {
+            let step = noted.from_before?;
+            let scale = keyframe.local_scale / step.local_scale;
+            Some(Pose { translation: step.motion.translation * scale, ..step.motion })
         };
-        let before = self.frames.range(..now_ns).rev().take(N_BESIDE).map_while(from_now);
-        let after = self.frames.range(now_ns + 1..).take(N_BESIDE).map_while(from_now);
-        let beside: Vec<(f64, Velocity)> = before.chain(after).collect();
-        let is_between =
-            beside.iter().any(|(time, _)| *time < 0.0) && beside.iter().any(|(time, _)| *time > 0.0);
-        (!beside.is_empty()).then(|| Motion { velocity: derivative_at_zero(&beside), is_between })
+        let mut beside = Vec::with_capacity(2 * N_BESIDE);
+        let mut from_now = Pose::identity();
+        let mut noted = self.frames.get(&now_ns);
+        for (time_ns, before) in self.frames.range(..now_ns).rev().take(N_BESIDE) {
+            let Some(step) = noted.and_then(step_to) else { break };
+            from_now = step.inverse() * from_now;
+            beside.push(((time_ns - now_ns) as f64, from_now.log()));
+            noted = Some(before);
+        }
+        let n_before = beside.len();
+        from_now = Pose::identity();
+        for (time_ns, after) in self.frames.range(now_ns + 1..).take(N_BESIDE) {
+            let Some(step) = step_to(after) else { break };
+            from_now = step * from_now;
+            beside.push(((time_ns - now_ns) as f64, from_now.log()));
+        }
+        let is_between = n_before > 0 && beside.len() > n_before;
+        // Without the frame itself the steps are between others.
+        (self.frames.contains_key(&now_ns) && !beside.is_empty())
+            .then(|| Motion { velocity: derivative_at_zero(&beside), is_between })
     }
 }
 

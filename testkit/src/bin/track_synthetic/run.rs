@@ -35,7 +35,7 @@ impl Run {
                 }
                 MapEvent::CalibrationContradicted { .. }
                 | MapEvent::CalibrationUndetermined { .. }
-                | MapEvent::ReadoutFound { .. } => {}
+                | MapEvent::ReadoutFound(_) => {}
             }
         }
         self.cpu_ms.push(report.cpu_ns as f64 * 1e-6);
