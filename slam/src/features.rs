@@ -106,9 +106,8 @@ pub struct FrameFeatures {
     pub bounds: GridBounds,
     /// Index of the undistorted positions for window queries.
     pub(crate) grid: KeypointGrid,
-    /// The camera's motion while the image was read, from the first row to the last, that was taken out of the
-    /// places: turn, then shift in map units, in the camera's own frame. Zero where they are as they were
-    /// detected, and for what was stored.
+    /// The camera's motion from the first row to the last that was taken out of the places: turn, then shift
+    /// in map units, in its own frame. Zero where they are as they were detected, and for what was stored.
     pub(crate) unrolled: Vector6<f64>,
     /// How the camera differs from its calibration.
     correction: CameraCorrection,

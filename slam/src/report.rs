@@ -220,8 +220,8 @@ pub enum MapEvent {
         /// Standard deviation of the focal length, as a share of it.
         focal_sigma: f64,
     },
-    /// The camera reads the rows of an image one after the other, and takes so long: that is taken out of what
-    /// it sees, and the map was adjusted to it.
+    /// The camera reads the rows of an image one after the other, and takes so long: that is taken out of
+    /// what it sees, and the map was adjusted to it.
     ReadoutFound(Readout),
     /// The images contradict the calibration by more than it can be wrong by: it is used as it was given. The
     /// lens may be described wrongly, or the images may have been resized or cropped.

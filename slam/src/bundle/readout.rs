@@ -40,7 +40,7 @@ pub(crate) struct Rolling<'a> {
 /// The readout by which a submap's points are explained best, with the poses and points that belong to it.
 #[derive(Clone, Debug)]
 pub(crate) struct ReadoutEstimate {
-    /// How much longer it is than what was taken out of the features, nanoseconds.
+    /// How much longer it is than the present one, nanoseconds.
     pub change_ns: f64,
     /// Its standard deviation, with errors of keypoints as correlated as they turned out to be; infinite if
     /// undetermined.
@@ -67,7 +67,7 @@ impl Rolling<'_> {
         fit.problem.enable_inliers(fit.observations, chi2_95(2));
         fit.solve(self.calibration.max_iterations, aborted);
         let sigma_ns = NS * fit.sigma_s(self.calibration);
-        let change_ns = NS * fit.problem.value(fit.camera)[5];
+        let change_ns = self.change_ns(&fit);
         let pose = |(id, variable): &(KeyframeId, VariableId<Pose>)| (*id, *fit.problem.value(*variable));
         let point = |point: &FittedPoint| (point.id, *fit.problem.value(point.variable));
         (!aborted()).then(|| ReadoutEstimate {
@@ -91,16 +91,17 @@ impl Rolling<'_> {
         fit.hold_readout(self, false);
         fit.solve(self.calibration.max_iterations, aborted);
         let found = fit.cost_of_others(self, aborted)?;
-        let change_ns = NS * fit.problem.value(fit.camera)[5];
+        let change_ns = self.change_ns(&fit);
         (!aborted()).then_some(HeldOutReadout { gain: 2.0 * (present - found), change_ns })
     }
 
     fn factor(&self, keyframe: &Keyframe, feature_idx: usize) -> Option<RolledReprojectionFactor> {
-        let velocity = self.motions.get(&keyframe.id)?.velocity;
-        let row = f64::from(keyframe.features.keypoints[feature_idx].y);
+        let velocity = self.motions.get(&keyframe.id)?;
+        let share = self.shutter.share(f64::from(keyframe.features.keypoints[feature_idx].y));
         Some(RolledReprojectionFactor {
             still: CalibratedReprojectionFactor::of(keyframe, feature_idx),
-            motion: velocity * (NS * self.shutter.share(row)),
+            motion: velocity * (NS * share),
+            middle_from_place: Pose::exp(&(keyframe.features.unrolled * -share)),
         })
     }
 
@@ -119,7 +120,13 @@ impl Rolling<'_> {
     fn present(&self) -> RollingCamera {
         let mut camera = RollingCamera::zeros();
         camera.fixed_rows_mut::<5>(0).copy_from(&vector_of(&self.map.correction()));
+        camera[5] = self.shutter.readout_ns() as f64 / NS;
         camera
+    }
+
+    /// By how much a fit's readout is longer than the present one, nanoseconds.
+    fn change_ns(&self, fit: &Fit) -> f64 {
+        NS * (fit.problem.value(fit.camera)[5] - self.present()[5])
     }
 }
 

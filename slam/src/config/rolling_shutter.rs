@@ -30,9 +30,9 @@ pub struct RollingShutterConfig {
     /// Frames are kept until there are this many keyframes, to be placed anew if a readout is found. Default
     /// 25: the third look at the camera is at 23.
     pub keep_until_keyframes: usize,
-    /// One that was taken over is changed by this many standard deviations or more, if keyframes left out of the
-    /// fit do not speak against it. Default 0.5: the newer is the better one, as frames were placed without
-    /// regard to the shutter before.
+    /// One that was taken over is changed by this many standard deviations or more, if keyframes left out of
+    /// the fit do not speak against it. Default 0.5: the newer is the better one, as frames were placed
+    /// without regard to the shutter before.
     pub min_move_sigmas: f64,
 }
 

@@ -146,8 +146,8 @@ impl Look<'_> {
         self.abort.load(Ordering::Relaxed)
     }
 
-    /// Looks at the camera and, if it is another than was thought, adjusts the submap to it: at the readout of
-    /// its shutter first, which would be taken for errors of the intrinsics. `None` if `abort` was set
+    /// Looks at the camera and, if it is another than was thought, adjusts the submap to it: at the readout
+    /// of its shutter first, which would be taken for errors of the intrinsics. `None` if `abort` was set
     /// meanwhile.
     pub fn check(&self, before: Memory, readout: Option<&ReadoutLook>) -> Option<IntrinsicsCheck> {
         let aborted = || self.is_aborted();

@@ -179,7 +179,7 @@ impl Mapper {
             frames.iter_mut().filter(of_it).for_each(|frame| frame.pose = Some(new.place));
             return self.update(frames);
         }
-        self.unroll_keyframes();
+        self.unroll_keyframes(false);
         culling::cull_recent_points(&mut self.map, &mut self.recent_points, id, &self.config.mapping);
         let made = triangulation::triangulate_with_neighbors(&mut self.map, id, &self.config.mapping);
         self.recent_points.extend(made);
@@ -303,7 +303,7 @@ impl Mapper {
                 }
                 if let Some(readout) = check.readout {
                     self.map.set_readout(readout);
-                    self.unroll_keyframes();
+                    self.unroll_keyframes(true);
                 }
                 if let Some(result) = check.adjusted {
                     result.merge_into(&mut self.map);
@@ -325,10 +325,10 @@ impl Mapper {
         }
     }
 
-    /// Takes the readout out of the keyframes as well as their motion is known.
-    fn unroll_keyframes(&mut self) {
-        if let Some(readout) = &mut self.readout {
-            readout.unroll(&mut self.map);
+    /// Takes the readout out of the keyframes in which it is not; out of all, if it is `another` than before.
+    fn unroll_keyframes(&mut self, another: bool) {
+        if let Some(readout) = &self.readout {
+            readout.unroll(&mut self.map, another);
         }
     }
 

@@ -6,7 +6,7 @@ use crate::bundle::global::{GlobalResult, adjust};
 use crate::bundle::readout::{HeldOutReadout, ReadoutEstimate, Rolling};
 use crate::config::{RollingShutterConfig, SlamConfig};
 use crate::map::{FramePose, FrameRecord, Keyframe, KeyframeId, Map, Readout, SubmapId};
-use crate::rolling_shutter::{MotionLog, Motions, RollingShutter};
+use crate::rolling_shutter::{MotionLog, Motions, RollingShutter, Velocity};
 use crate::tracking::frame::TrackedFrame;
 use geometry::nalgebra::Vector2;
 use geometry::{Camera, Pose};
@@ -21,8 +21,8 @@ pub(super) struct ReadoutMonitor {
     is_looked_for: bool,
     /// What the last look found, nanoseconds.
     last_ns: Option<f64>,
-    /// Keyframes out of which the readout was taken by a motion that will not be known better.
-    settled: BTreeSet<KeyframeId>,
+    /// Keyframes of before the session was taken up again, out of which it was taken before they were stored.
+    stored: BTreeSet<KeyframeId>,
 }
 
 /// What a look at the readout begins with.
@@ -54,9 +54,9 @@ impl ReadoutMonitor {
         let known_ns = config.rolling_shutter.readout_ns.or(map.readout().map(|readout| readout.readout_ns));
         let is_looked_for = config.looks_for_readout(map.readout().is_some());
         let shutter = RollingShutter::new(working_camera, known_ns.unwrap_or(0));
-        let (log, settled) = (MotionLog::default(), map.keyframes().map(|keyframe| keyframe.id).collect());
+        let (log, stored) = (MotionLog::default(), map.keyframes().map(|keyframe| keyframe.id).collect());
         let is_rolling = is_looked_for || shutter.readout_ns() != 0;
-        is_rolling.then_some(Self { shutter, log, is_looked_for, last_ns: None, settled })
+        is_rolling.then_some(Self { shutter, log, is_looked_for, last_ns: None, stored })
     }
 
     /// Takes note of frames that were placed in this map.
@@ -91,20 +91,19 @@ impl ReadoutMonitor {
         self.last_ns = seen_ns;
         if let Some(Readout { readout_ns, .. }) = found {
             self.shutter.set_readout_ns(readout_ns);
-            self.settled.clear();
         }
     }
 
-    /// Takes the readout out of the keyframes in which it is not yet taken out, or was by what was known of
-    /// the motion before there were frames after them.
-    pub fn unroll(&mut self, map: &mut Map) {
+    /// Takes the readout out of the keyframes in which it is not yet taken out; out of all, as far as their
+    /// motion is known, if it is `another` than before.
+    pub fn unroll(&self, map: &mut Map, another: bool) {
         if self.shutter.readout_ns() == 0 {
             return;
         }
-        let open = map.keyframes().filter(|keyframe| !self.settled.contains(&keyframe.id));
-        let motions = self.log.motions(open);
+        let is_rolled = |keyframe: &&Keyframe| another || keyframe.features.unrolled == Velocity::zeros();
+        let is_open = |keyframe: &&Keyframe| is_rolled(keyframe) && !self.stored.contains(&keyframe.id);
+        let motions = self.log.motions(map.keyframes().filter(is_open));
         unroll_keyframes(map, &self.shutter, &motions);
-        self.settled.extend(motions.iter().filter(|(_, motion)| motion.is_between).map(|(id, _)| *id));
     }
 }
 
@@ -189,19 +188,17 @@ impl RollingShutterConfig {
     }
 }
 
-/// Takes the readout out of the features of the keyframes whose motion is given. What was taken out by the
-/// motion before a keyframe is as good as what follows from that alone.
+/// Takes the readout out of the features of the keyframes whose motion is given.
 fn unroll_keyframes(map: &mut Map, shutter: &RollingShutter, motions: &Motions) {
-    for (id, motion) in motions {
-        let is_better = |keyframe: &&Keyframe| motion.is_between || keyframe.features.unrolled.norm() == 0.0;
-        let Some(keyframe) = map.keyframe(*id).filter(is_better) else { continue };
+    for (id, velocity) in motions {
+        let Some(keyframe) = map.keyframe(*id) else { continue };
         let frame = TrackedFrame::of_keyframe(keyframe);
         let Some(depths) = frame.inverse_depths(map) else { continue };
         let inverse_depth = |feature_idx: Option<usize>, place: &Vector2<f64>| {
             let seen = feature_idx.and_then(|idx| frame.inverse_depth_of(idx, map));
             seen.unwrap_or_else(|| depths.at(place))
         };
-        let unrolled = shutter.unroll(&keyframe.features, &motion.velocity, inverse_depth);
+        let unrolled = shutter.unroll(&keyframe.features, velocity, inverse_depth);
         if let Some(settled) = shutter.settle(&unrolled) {
             map.move_features(*id, settled);
         }

@@ -12,16 +12,8 @@ const MAX_FRAMES: usize = 4000;
 /// Frames that are looked at to either side of a keyframe.
 const N_BESIDE: usize = 2;
 
-/// How the camera moved at a keyframe.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Motion {
-    pub velocity: Velocity,
-    /// Whether there are frames before and after the keyframe, so that it will not be known better.
-    pub is_between: bool,
-}
-
 /// How the camera moved at keyframes.
-pub(crate) type Motions = BTreeMap<KeyframeId, Motion>;
+pub(crate) type Motions = BTreeMap<KeyframeId, Velocity>;
 
 /// How the camera moved from frame to frame, as it was when they were tracked: adjustment moves keyframes one
 /// against the other by more than the camera moves while an image is read.
@@ -76,7 +68,7 @@ impl MotionLog {
 
     /// How the camera moved at those keyframes that have frames beside them.
     pub fn motions<'a>(&self, keyframes: impl Iterator<Item = &'a Keyframe>) -> Motions {
-        keyframes.filter_map(|keyframe| Some((keyframe.id, self.motion_at(keyframe)?))).collect()
+        keyframes.filter_map(|keyframe| Some((keyframe.id, self.velocity_at(keyframe)?))).collect()
     }
 
     /// From the frame before, if they are in one submap and not far apart in time.
@@ -93,7 +85,7 @@ impl MotionLog {
 
     /// The derivative of a smooth way through the places of the frames beside the keyframe: of a polynomial
     /// through as many as there are, two before and two after it at most.
-    fn motion_at(&self, keyframe: &Keyframe) -> Option<Motion> {
+    fn velocity_at(&self, keyframe: &Keyframe) -> Option<Velocity> {
         let now_ns = keyframe.timestamp_ns;
         let step_to = |noted: &Noted| {
             let step = noted.from_before?;
@@ -109,17 +101,15 @@ impl MotionLog {
             beside.push(((time_ns - now_ns) as f64, from_now.log()));
             noted = Some(before);
         }
-        let n_before = beside.len();
         from_now = Pose::identity();
         for (time_ns, after) in self.frames.range(now_ns + 1..).take(N_BESIDE) {
             let Some(step) = step_to(after) else { break };
             from_now = step * from_now;
             beside.push(((time_ns - now_ns) as f64, from_now.log()));
         }
-        let is_between = n_before > 0 && beside.len() > n_before;
         // Without the frame itself the steps are between others.
-        (self.frames.contains_key(&now_ns) && !beside.is_empty())
-            .then(|| Motion { velocity: derivative_at_zero(&beside), is_between })
+        let is_known = self.frames.contains_key(&now_ns) && !beside.is_empty();
+        is_known.then(|| derivative_at_zero(&beside))
     }
 }
 

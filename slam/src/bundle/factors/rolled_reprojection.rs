@@ -13,15 +13,18 @@ pub type RollingCamera = SVector<f64, 6>;
 /// Distance between a keypoint and the projection of its point, in standard deviations, with the camera's
 /// correction and the readout of its shutter as unknowns.
 ///
-/// `r(T, (c, ρ), X) = r_c(exp(ρ m) T, c, X)`, where `r_c` is that of a [`CalibratedReprojectionFactor`], `ρ`
-/// the readout in seconds and `m` how the camera moves from its middle row to that of the keypoint in a
+/// `r(T, (c, ρ), X) = r_c(exp(ρ m) U⁻¹ T, c, X)`, where `r_c` is that of a [`CalibratedReprojectionFactor`],
+/// `ρ` the readout in seconds and `m` how the camera moves from its middle row to that of the keypoint in a
 /// readout of a second: its velocity in its own frame, rotation first, times the row's share of the readout.
+/// `U` is the same motion as far as it was taken out of the keypoint's place already.
 #[derive(Clone, Copy, Debug)]
 pub struct RolledReprojectionFactor {
     /// As a camera sees it that reads all rows at once.
     pub still: CalibratedReprojectionFactor,
     /// The motion `m`, radians and map units.
     pub motion: Vector6<f64>,
+    /// The inverse of the motion `U`.
+    pub middle_from_place: Pose,
 }
 
 fn parts(camera: &RollingCamera) -> (CorrectionVector, f64) {
@@ -38,7 +41,7 @@ impl Factor for RolledReprojectionFactor {
         (camera_from_world, camera, point): (&Pose, &RollingCamera, &Vector3<f64>),
     ) -> Option<Vector2<f64>> {
         let (correction, readout_s) = parts(camera);
-        let at_row = Pose::exp(&(self.motion * readout_s)) * *camera_from_world;
+        let at_row = Pose::exp(&(self.motion * readout_s)) * self.middle_from_place * *camera_from_world;
         self.still.residual((&at_row, &correction, point))
     }
 
@@ -48,7 +51,7 @@ impl Factor for RolledReprojectionFactor {
         (camera_from_world, camera, point): (&Pose, &RollingCamera, &Vector3<f64>),
     ) -> Option<Linearized<Self>> {
         let (correction, readout_s) = parts(camera);
-        let row_from_middle = Pose::exp(&(self.motion * readout_s));
+        let row_from_middle = Pose::exp(&(self.motion * readout_s)) * self.middle_from_place;
         let at_row = row_from_middle * *camera_from_world;
         let (residual, (by_pose_at_row, by_correction, by_point)) =
             self.still.linearize((&at_row, &correction, point))?;
@@ -117,7 +120,8 @@ mod tests {
                 inverse_sigma: 1.0 / (1.0 + 0.1 * s),
             };
             let motion = Vector6::new(0.3, -0.4 * s.cos(), 0.2, 0.5, 0.3 * s.sin(), -0.4);
-            let factor = RolledReprojectionFactor { still, motion };
+            let middle_from_place = Pose::exp(&(motion * -0.03 * s.cos()));
+            let factor = RolledReprojectionFactor { still, motion, middle_from_place };
             optim::testing::assert_jacobians_match(&factor, &(pose, camera, point), 1e-6, 1e-5);
             let inverse_sigmas = RollingCamera::from([100.0, 50.0, 20.0, 10.0, 30.0, 7.0]);
             let prior = RollingCameraPriorFactor { mean: camera * 0.3, inverse_sigmas };
