@@ -82,8 +82,8 @@ class SessionOptions:
     find_mask: bool | None = None
     """Whether what stays in the image while the scene moves is found and left out."""
     readout_ms: float | None = None
-    """Rolling shutter: milliseconds from the first row of an image to the last; phones take 8 to 35, 0 is a global
-    shutter. `None` has the session find it where the motion shows it."""
+    """Rolling shutter: milliseconds from the first row of an image to the last; phones take 8 to 35, 0 is a
+    global shutter. `None` has the session find it where the motion shows it."""
 
 
 class TrackingState(Enum):
@@ -143,7 +143,7 @@ class Session:
     refined_camera: Camera | None
     """The camera as the session has found it to be; `None` while the calibration is used as it was given."""
     found_readout: Readout | None = None
-    """The readout of its rolling shutter as found; `None` where it was told, and until the motion has shown one."""
+    """The readout of its rolling shutter as found; `None` where told, and until the motion has shown one."""
 
 
 @dataclass(frozen=True)
