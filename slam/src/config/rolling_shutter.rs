@@ -30,9 +30,6 @@ pub struct RollingShutterConfig {
     /// Frames are kept until there are this many keyframes, to be placed anew if a readout is found. Default
     /// 25: the third look at the camera is at 23.
     pub keep_until_keyframes: usize,
-    /// Where frames are at least so far apart, nanoseconds, a keyframe is unrolled once more when the frames
-    /// after it are known. Default 70 ms: what follows from the frames before is too far back then.
-    pub renew_interval_ns: i64,
     /// One that was taken over is changed by this many standard deviations or more, if keyframes left out of
     /// the fit do not speak against it. Default 0.5: the newer is the better one, as frames were placed
     /// without regard to the shutter before.
@@ -53,7 +50,6 @@ impl Default for RollingShutterConfig {
             min_held_out_gain: 2.0,
             max_held_out_difference: 0.5,
             max_disagreement: 0.33,
-            renew_interval_ns: 70_000_000,
             keep_until_keyframes: 25,
             min_move_sigmas: 0.5,
         }

@@ -327,7 +327,7 @@ impl Mapper {
 
     /// Takes the readout out of the keyframes in which it is not; out of all, if it is `another` than before.
     fn unroll_keyframes(&mut self, another: bool) {
-        if let Some(readout) = &mut self.readout {
+        if let Some(readout) = &self.readout {
             readout.unroll(&mut self.map, another);
         }
     }

@@ -23,10 +23,6 @@ pub(super) struct ReadoutMonitor {
     last_ns: Option<f64>,
     /// Keyframes of before the session was taken up again, out of which it was taken before they were stored.
     stored: BTreeSet<KeyframeId>,
-    /// Keyframes out of which it was taken once more.
-    renewed: BTreeSet<KeyframeId>,
-    /// See [`RollingShutterConfig::renew_interval_ns`].
-    renew_interval_ns: i64,
 }
 
 /// What a look at the readout begins with.
@@ -60,17 +56,7 @@ impl ReadoutMonitor {
         let shutter = RollingShutter::new(working_camera, known_ns.unwrap_or(0));
         let (log, stored) = (MotionLog::default(), map.keyframes().map(|keyframe| keyframe.id).collect());
         let is_rolling = is_looked_for || shutter.readout_ns() != 0;
-        let renew_interval_ns = config.rolling_shutter.renew_interval_ns;
-        let renewed = BTreeSet::new();
-        is_rolling.then_some(Self {
-            shutter,
-            log,
-            is_looked_for,
-            last_ns: None,
-            stored,
-            renewed,
-            renew_interval_ns,
-        })
+        is_rolling.then_some(Self { shutter, log, is_looked_for, last_ns: None, stored })
     }
 
     /// Takes note of frames that were placed in this map.
@@ -110,22 +96,14 @@ impl ReadoutMonitor {
 
     /// Takes the readout out of the keyframes in which it is not yet taken out; out of all, as far as their
     /// motion is known, if it is `another` than before.
-    pub fn unroll(&mut self, map: &mut Map, another: bool) {
+    pub fn unroll(&self, map: &mut Map, another: bool) {
         if self.shutter.readout_ns() == 0 {
             return;
         }
         let is_rolled = |keyframe: &&Keyframe| another || keyframe.features.unrolled == Velocity::zeros();
-        let is_between = |keyframe: &Keyframe| {
-            self.log.interval_around(keyframe).is_some_and(|around| around >= 2 * self.renew_interval_ns)
-        };
-        let is_better = |keyframe: &&Keyframe| !self.renewed.contains(&keyframe.id) && is_between(keyframe);
-        let is_open = |keyframe: &&Keyframe| {
-            !self.stored.contains(&keyframe.id) && (is_rolled(keyframe) || is_better(keyframe))
-        };
+        let is_open = |keyframe: &&Keyframe| is_rolled(keyframe) && !self.stored.contains(&keyframe.id);
         let motions = self.log.motions(map.keyframes().filter(is_open));
         unroll_keyframes(map, &self.shutter, &motions);
-        self.renewed
-            .extend(map.keyframes().filter(|keyframe| is_between(keyframe)).map(|keyframe| keyframe.id));
     }
 }
 

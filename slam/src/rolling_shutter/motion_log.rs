@@ -71,13 +71,6 @@ impl MotionLog {
         keyframes.filter_map(|keyframe| Some((keyframe.id, self.velocity_at(keyframe)?))).collect()
     }
 
-    /// How long it is from the frame before a keyframe to that after it, nanoseconds, if there are both.
-    pub fn interval_around(&self, keyframe: &Keyframe) -> Option<i64> {
-        let (before_ns, _) = self.frames.range(..keyframe.timestamp_ns).next_back()?;
-        let (after_ns, _) = self.frames.range(keyframe.timestamp_ns + 1..).next()?;
-        Some(after_ns - before_ns)
-    }
-
     /// From the frame before, if they are in one submap and not far apart in time.
     fn step_to(&self, time_ns: i64, map: &Map) -> Option<Step> {
         let place = &self.frames.get(&time_ns)?.place;
