@@ -54,7 +54,8 @@ pub struct SessionOptions {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub find_mask: Option<bool>,
     /// Rolling shutter: milliseconds from the first row of an image to the last, as phones and webcams take 8
-    /// to 35. Left out it is taken for a global shutter, which reads all rows at once.
+    /// to 35; 0 is a global shutter, which reads all rows at once. Left out it is not known, and found where
+    /// the motion shows it, unless `refine_calibration` is off.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub readout_ms: Option<f64>,
 }
@@ -346,7 +347,7 @@ mod tests {
             assert_eq!(engine_config(&asked).unwrap_err().violations[0].field, "options.readout_ms");
         }
         let asked = SessionOptions { readout_ms: Some(16.5), ..SessionOptions::default() };
-        assert_eq!(engine_config(&asked).unwrap().rolling_shutter.readout_ns, 16_500_000);
+        assert_eq!(engine_config(&asked).unwrap().rolling_shutter.readout_ns, Some(16_500_000));
         let asked = SessionOptions { max_keyframes: Some(0), ..SessionOptions::default() };
         assert_eq!(engine_config(&asked).unwrap_err().violations[0].field, "options.max_keyframes");
     }

@@ -36,9 +36,13 @@ pub(crate) struct Backfill {
     /// What lies between submaps, oldest first.
     gaps: VecDeque<Gap>,
     is_mature: bool,
+    /// Frames that were placed while the readout of the camera's shutter was looked for, oldest first; absent
+    /// where it is not.
+    rolled: Option<VecDeque<Waiting>>,
 }
 
 /// A kept frame.
+#[derive(Clone)]
 struct Waiting {
     view: View,
     /// Landmarks that agreed with the pose it was answered with, if it had one.
@@ -95,21 +99,50 @@ impl Backfill {
             way: None,
             gaps: VecDeque::new(),
             is_mature: false,
+            rolled: None,
+        }
+    }
+
+    /// Takes over what is known of the camera's shutter.
+    pub fn set_rolling_shutter(&mut self, rolling_shutter: Option<RollingShutter>) {
+        if let Some(way) = &mut self.way {
+            way.tracker.set_rolling_shutter(rolling_shutter.clone());
+        }
+        self.rolling_shutter = rolling_shutter;
+        // Those that were placed without regard to it are placed anew, together with those still waiting.
+        for waiting in self.rolled.take().into_iter().flatten() {
+            if !self.waiting.iter().any(|other| other.view.sequence == waiting.view.sequence) {
+                self.waiting.push_back(waiting);
+            }
+        }
+        self.waiting.make_contiguous().sort_by_key(|waiting| waiting.view.sequence);
+    }
+
+    /// Whether the readout of the camera's shutter is looked for: then frames are kept until it is known.
+    pub fn expect_readout(&mut self, is_looked_for: bool) {
+        if is_looked_for {
+            self.rolled.get_or_insert_default();
+        } else {
+            self.rolled = None;
         }
     }
 
     /// Keeps a frame that got no pose, or got one while the map was young; the oldest goes when there are too
     /// many.
     pub fn keep(&mut self, view: &View, n_inliers: Option<usize>) {
+        let waiting = Waiting { view: view.clone(), n_inliers };
+        let max_views = self.config.initialization.max_backfill_views;
         if n_inliers.is_none() {
             self.lost_at = self.last.take().or(self.lost_at.take());
-        } else if self.is_mature {
-            return;
+        } else {
+            if let Some(rolled) = &mut self.rolled {
+                push_bounded(rolled, waiting.clone(), max_views);
+            }
+            if self.is_mature {
+                return;
+            }
         }
-        if self.waiting.len() >= self.config.initialization.max_backfill_views {
-            self.waiting.pop_front();
-        }
-        self.waiting.push_back(Waiting { view: view.clone(), n_inliers });
+        push_bounded(&mut self.waiting, waiting, max_views);
     }
 
     fn way(&self, start: Anchor, views: Vec<Waiting>, rest: Rest) -> Way {
@@ -213,6 +246,14 @@ impl Backfill {
             Rest::Gap(_) | Rest::Nothing => {}
         }
     }
+}
+
+/// Adds a frame; the oldest goes when there are too many.
+fn push_bounded(frames: &mut VecDeque<Waiting>, frame: Waiting, max_frames: usize) {
+    if frames.len() >= max_frames {
+        frames.pop_front();
+    }
+    frames.push_back(frame);
 }
 
 impl Anchor {

@@ -1,6 +1,6 @@
 //! What the front end measures in one image, in the coordinates the back end works in.
 
-use geometry::nalgebra::{Matrix2, SymmetricEigen, Vector2};
+use geometry::nalgebra::{Matrix2, SymmetricEigen, Vector2, Vector6};
 use geometry::{Camera, CameraCorrection, CorrectedPixels, Pinhole};
 use std::sync::Arc;
 use vision::vanishing::SegmentPlane;
@@ -106,6 +106,9 @@ pub struct FrameFeatures {
     pub bounds: GridBounds,
     /// Index of the undistorted positions for window queries.
     pub(crate) grid: KeypointGrid,
+    /// The camera's motion from the first row to the last that was taken out of the places: turn, then shift
+    /// in map units, in its own frame. Zero where they are as they were detected, and for what was stored.
+    pub(crate) unrolled: Vector6<f64>,
     /// How the camera differs from its calibration.
     correction: CameraCorrection,
     /// Where all lies by the calibration alone, if the correction bends that.
@@ -196,6 +199,7 @@ impl FrameFeatures {
             pyramid,
             bounds,
             grid,
+            unrolled: Vector6::zeros(),
             correction,
             nominal,
         }
@@ -299,6 +303,7 @@ impl FrameFeatures {
         };
         let keypoints = self.keypoints.iter().enumerate().map(settle).collect::<Option<Vec<_>>>()?;
         let settled = Self::from_parts(keypoints, self.descriptors.clone(), &nominal_camera, self.pyramid)?;
+        let settled = Self { unrolled: self.unrolled, ..settled };
         Some(settled.with_lines(self.nominal_lines().to_vec()).with_correction(&self.correction))
     }
 

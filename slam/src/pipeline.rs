@@ -130,7 +130,11 @@ impl Pipeline {
             if newest.correction() != self.map.correction() {
                 self.front_end.correct_camera(newest.correction());
             }
+            let has_new_readout = newest.readout() != self.map.readout();
             self.map = newest;
+            if has_new_readout {
+                self.sync_rolling_shutter();
+            }
             self.tracker.sync_map(&self.map);
             if let Some(last) = self.tracker.last_frame() {
                 self.submaps.follow(last.submap);
@@ -329,6 +333,10 @@ impl Pipeline {
 
     /// Keeps a frame that has no pose for later, and places one of those kept before.
     fn step_backfill(&mut self, view: &View, result: &FrameResult) {
+        let is_readout_open = self.config.looks_for_readout(self.map.readout().is_some());
+        self.backfill.expect_readout(
+            is_readout_open && self.map.n_keyframes() <= self.config.rolling_shutter.keep_until_keyframes,
+        );
         match &result.frame {
             None => self.backfill.keep(view, None),
             Some(frame) => {

@@ -1,7 +1,7 @@
 //! What came of one frame: values with the measurements beside the thresholds they were held against.
 
 use crate::features::FrameFeatures;
-use crate::map::{FrameState, KeyframeId, LineId, PointId, PrimitiveId, SubmapId};
+use crate::map::{FrameState, KeyframeId, LineId, PointId, PrimitiveId, Readout, SubmapId};
 use geometry::nalgebra::Vector3;
 use geometry::{CameraCorrection, Pose};
 use std::fmt;
@@ -220,6 +220,9 @@ pub enum MapEvent {
         /// Standard deviation of the focal length, as a share of it.
         focal_sigma: f64,
     },
+    /// The camera reads the rows of an image one after the other, and takes so long: that is taken out of
+    /// what it sees, and the map was adjusted to it.
+    ReadoutFound(Readout),
     /// The images contradict the calibration by more than it can be wrong by: it is used as it was given. The
     /// lens may be described wrongly, or the images may have been resized or cropped.
     CalibrationContradicted {
@@ -235,9 +238,7 @@ impl MapEvent {
             Self::LoopClosed { keyframe, matched, .. } | Self::SubmapsMerged { keyframe, matched, .. } => {
                 Some((*keyframe, *matched))
             }
-            Self::CalibrationRefined { .. }
-            | Self::CalibrationContradicted { .. }
-            | Self::CalibrationUndetermined { .. } => None,
+            _ => None,
         }
     }
 
@@ -245,9 +246,7 @@ impl MapEvent {
     pub fn n_matches(&self) -> usize {
         match self {
             Self::LoopClosed { n_matches, .. } | Self::SubmapsMerged { n_matches, .. } => *n_matches,
-            Self::CalibrationRefined { .. }
-            | Self::CalibrationContradicted { .. }
-            | Self::CalibrationUndetermined { .. } => 0,
+            _ => 0,
         }
     }
 
@@ -264,9 +263,15 @@ impl MapEvent {
         match self {
             Self::CalibrationRefined { correction, .. } => Some((*correction, true)),
             Self::CalibrationContradicted { correction } => Some((*correction, false)),
-            Self::LoopClosed { .. } | Self::SubmapsMerged { .. } | Self::CalibrationUndetermined { .. } => {
-                None
-            }
+            _ => None,
+        }
+    }
+
+    /// How long the camera takes to read an image, where that was found.
+    pub fn readout(&self) -> Option<Readout> {
+        match self {
+            Self::ReadoutFound(readout) => Some(*readout),
+            _ => None,
         }
     }
 

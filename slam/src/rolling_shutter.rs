@@ -6,6 +6,10 @@
 //! in its own frame while the image is read. With the keypoint's depth the place where `T` sees the same
 //! point follows.
 
+mod motion_log;
+
+pub(crate) use motion_log::{MotionLog, Motions};
+
 use crate::features::FrameFeatures;
 use geometry::nalgebra::{Vector2, Vector6};
 use geometry::{Camera, Pinhole, Pose};
@@ -22,13 +26,29 @@ const MAX_INTERVAL_NS: i64 = 500_000_000;
 pub(crate) struct RollingShutter {
     /// Of the images that features are looked for in, as it was given.
     camera: Camera,
+    /// Nanoseconds.
     readout_ns: i64,
 }
 
 impl RollingShutter {
-    /// `None` for a global shutter. `camera` is that of the images that features are looked for in.
-    pub fn new(camera: &Camera, readout_ns: i64) -> Option<Self> {
-        (readout_ns != 0).then(|| Self { camera: camera.clone(), readout_ns })
+    /// With a readout that may be 0. `camera` is that of the images that features are looked for in.
+    pub fn new(camera: &Camera, readout_ns: i64) -> Self {
+        Self { camera: camera.clone(), readout_ns }
+    }
+
+    /// `None` for a global shutter.
+    pub fn of(camera: &Camera, readout_ns: i64) -> Option<Self> {
+        (readout_ns != 0).then(|| Self::new(camera, readout_ns))
+    }
+
+    /// From the first row to the last, nanoseconds.
+    pub fn readout_ns(&self) -> i64 {
+        self.readout_ns
+    }
+
+    /// Takes over another readout.
+    pub fn set_readout_ns(&mut self, readout_ns: i64) {
+        self.readout_ns = readout_ns;
     }
 
     /// How the camera moves that turned and shifted so from one frame to another, at the middle between them.
@@ -37,29 +57,32 @@ impl RollingShutter {
         is_known.then(|| motion.log() / interval_ns as f64)
     }
 
-    /// The features as the camera of the middle row sees them. `inverse_depth` is that of keypoint `i`, or of
-    /// what lies at a place.
+    /// The features as the camera of the middle row sees them if it moves so. It does not matter what was
+    /// taken out of them before. `inverse_depth` is that of keypoint `i`, or of what lies at a place.
     pub fn unroll(
         &self,
         rolled: &FrameFeatures,
         velocity: &Velocity,
         inverse_depth: impl Fn(Option<usize>, &Vector2<f64>) -> f64,
     ) -> FrameFeatures {
-        let (pinhole, twist) = (rolled.pinhole, velocity * self.readout_ns as f64);
-        let moved = |place: &Vector2<f64>, row: f64, inverse_depth: f64| {
+        let motion = velocity * self.readout_ns as f64;
+        let (pinhole, twist) = (rolled.pinhole, motion - rolled.unrolled);
+        let place_of = |place: &Vector2<f64>, row: f64, inverse_depth: f64| {
             unrolled(&pinhole, &(twist * self.share(row)), place, inverse_depth).unwrap_or(*place)
         };
-        rolled.moved(
-            |i, place| moved(place, f64::from(rolled.keypoints[i].y), inverse_depth(Some(i), place)),
+        let mut moved = rolled.moved(
+            |i, place| place_of(place, f64::from(rolled.keypoints[i].y), inverse_depth(Some(i), place)),
             |place, nominal| {
                 let row = self.camera.distort(nominal).map_or(nominal.y, |pixel| pixel.y);
-                moved(place, row, inverse_depth(None, place))
+                place_of(place, row, inverse_depth(None, place))
             },
-        )
+        );
+        moved.unrolled = motion;
+        moved
     }
 
     /// When a row is read, as a share of the readout after the middle row.
-    fn share(&self, row: f64) -> f64 {
+    pub fn share(&self, row: f64) -> f64 {
         ((row + 0.5) / f64::from(self.camera.height()) - 0.5).clamp(-0.5, 0.5)
     }
 

@@ -38,7 +38,7 @@ const SESSION: &str = "t camera, t options, i created_at_ns, i state, i last_seq
      i last_keyframe_id, i last_point_id, i n_frames, i n_keyframes, i n_points, i n_submaps, r metres_per_unit, \
      i last_line_id, i last_primitive_id, i n_lines, i n_primitives, r focal_correction, r centre_x_correction, \
      r centre_y_correction, f enlarges_small_images, r k1_correction, r k2_correction, r mask_share, f mask_given, \
-     f enlarges_for_border, f calibration_contradicted";
+     f enlarges_for_border, f calibration_contradicted, i found_readout_ns, i found_readout_sigma_ns";
 
 /// Tables of a session, in an order in which none refers to one behind it.
 const TABLES: [Table; 12] = [

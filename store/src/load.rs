@@ -74,6 +74,7 @@ impl Store {
             removed_keyframes,
             correction: record.correction,
             is_contradicted: record.is_contradicted,
+            readout: record.readout,
             last_ids: LastIds {
                 keyframe: from_column("last_keyframe_id", row.try_get("last_keyframe_id")?)?,
                 point: from_column("last_point_id", row.try_get("last_point_id")?)?,

@@ -140,5 +140,6 @@ fn as_json(session: &v1::Session) -> Value {
         "last_timestamp_ns_text": session.last_timestamp_ns.map(|ns| ns.to_string()),
         "metres_per_unit": session.metres_per_unit, "loaded": session.loaded, "has_writer": session.has_writer,
         "damage": session.damage,
+        "found_readout": session.found_readout.as_ref().map(|found| json!({ "readout_ms": found.readout_ms, "sigma_ms": found.sigma_ms })),
     })
 }

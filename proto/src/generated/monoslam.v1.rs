@@ -55,8 +55,9 @@ pub struct SessionOptions {
     /// car's bonnet. Not where a mask was given.
     #[prost(bool, optional, tag = "12")]
     pub find_mask: ::core::option::Option<bool>,
-    /// Rolling shutter: milliseconds from the first row of an image to the last, as phones and webcams take 8 to 35. Left out it
-    /// is taken for a global shutter, which reads all rows at once.
+    /// Rolling shutter: milliseconds from the first row of an image to the last, as phones and webcams take 8 to 35; 0 is a global
+    /// shutter, which reads all rows at once. Left out it is not known, and found where the motion shows it, unless
+    /// `refine_calibration` is off.
     #[prost(double, optional, tag = "13")]
     pub readout_ms: ::core::option::Option<f64>,
 }
@@ -119,6 +120,20 @@ pub struct Session {
     /// What is doubtful about the camera, in plain sentences.
     #[prost(string, repeated, tag = "22")]
     pub camera_warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// The readout of the camera's rolling shutter as the session has found it. Absent where it was told, and until the motion has
+    /// shown one.
+    #[prost(message, optional, tag = "23")]
+    pub found_readout: ::core::option::Option<Readout>,
+}
+/// How long a camera takes to read the rows of an image.
+#[derive(Clone, Copy, PartialEq, ::prost::Message)]
+pub struct Readout {
+    /// From the first row to the last.
+    #[prost(double, tag = "1")]
+    pub readout_ms: f64,
+    /// Its standard deviation.
+    #[prost(double, tag = "2")]
+    pub sigma_ms: f64,
 }
 /// What of a session's images is not the scene.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
@@ -590,6 +605,9 @@ pub struct MapCorrection {
     /// What was found out about the camera.
     #[prost(message, optional, tag = "6")]
     pub camera: ::core::option::Option<CameraCorrection>,
+    /// The readout of its rolling shutter, where that was found out.
+    #[prost(message, optional, tag = "7")]
+    pub readout: ::core::option::Option<Readout>,
 }
 /// How the camera that fits the images best differs from its calibration.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]

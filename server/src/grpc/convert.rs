@@ -16,7 +16,7 @@ use proto::v1;
 use proto::v1::session_event::Event;
 use proto::v1::stream_frames_response::Message;
 
-use slam::map::{FrameState, KeyframeId};
+use slam::map::{FrameState, KeyframeId, Readout};
 use std::sync::Arc;
 use std::time::Instant;
 use store::MAX_SEQUENCE;
@@ -150,6 +150,7 @@ pub(super) fn session(view: &SessionView) -> v1::Session {
         scale_measurement: None,
         mask: view.mask.map(|mask| v1::Mask { share: mask.share, given: mask.is_given }),
         camera_warnings: view.camera_warnings(),
+        found_readout: view.readout.map(readout),
     }
 }
 
@@ -343,7 +344,12 @@ fn correction(event: &slam::MapEvent) -> v1::MapCorrection {
             let CameraCorrection { focal, center_x, center_y, .. } = correction;
             v1::CameraCorrection { focal, centre_x: center_x, centre_y: center_y, adopted }
         }),
+        readout: event.readout().map(readout),
     }
+}
+
+fn readout(found: Readout) -> v1::Readout {
+    v1::Readout { readout_ms: found.ms(), sigma_ms: found.sigma_ms() }
 }
 
 pub(super) fn scale(scale: Scale) -> v1::ScaleKind {

@@ -1,7 +1,7 @@
 //! What happens in a session, as server-sent events.
 
 use super::extract::AskedBy;
-use super::model::Session;
+use super::model::{Readout, Session};
 use super::{App, ProblemDetails};
 use crate::error::ApiError;
 use crate::model::{Pose, Scale, State as TrackingState, Units};
@@ -92,6 +92,8 @@ pub(super) struct MapCorrection {
     submap_kept: Option<u32>,
     /// What was found out about the camera.
     camera: Option<CameraCorrection>,
+    /// The readout of its rolling shutter, where that was found out.
+    readout: Option<Readout>,
 }
 
 /// Data of an event `map`: the map was changed. It is in the database a moment later.
@@ -177,6 +179,7 @@ impl From<&slam::MapEvent> for MapCorrection {
                 let geometry::CameraCorrection { focal, center_x, center_y, k1, k2 } = correction;
                 CameraCorrection { focal, center_x, center_y, k1, k2, focal_sigma, adopted }
             }),
+            readout: event.readout().map(Readout::from),
         }
     }
 }

@@ -40,6 +40,9 @@ pub struct Session {
     pub camera: Camera,
     /// Its camera as it was found to be; `null` while it is used as it was given.
     pub refined_camera: Option<Camera>,
+    /// The readout of its camera's rolling shutter as it was found; `null` where it was told, and until the
+    /// motion has shown one.
+    pub found_readout: Option<Readout>,
     /// The session's options.
     pub options: SessionOptions,
     /// What of its images is left out as not being the scene, such as a black border; `null` while nothing
@@ -96,6 +99,21 @@ pub struct Mask {
     pub given: bool,
 }
 
+/// How long a camera takes to read the rows of an image, and how well that is known.
+#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
+pub struct Readout {
+    /// From the first row to the last, milliseconds.
+    pub readout_ms: f64,
+    /// Its standard deviation, milliseconds.
+    pub sigma_ms: f64,
+}
+
+impl From<slam::map::Readout> for Readout {
+    fn from(found: slam::map::Readout) -> Self {
+        Self { readout_ms: found.ms(), sigma_ms: found.sigma_ms() }
+    }
+}
+
 /// Some sessions in the order of their ids.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub struct SessionPage {
@@ -125,6 +143,7 @@ impl From<SessionView> for Session {
             camera_warnings,
             camera: view.camera.into(),
             refined_camera: view.refined_camera.map(Camera::from),
+            found_readout: view.readout.map(Readout::from),
             options: view.options,
             mask: view.mask.map(|mask| Mask { share: mask.share, given: mask.is_given }),
             created_at_ns: view.created_at_ns,

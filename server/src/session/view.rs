@@ -2,7 +2,7 @@
 
 use crate::options::{SessionOptions, camera_warnings};
 use geometry::CameraParameters;
-use slam::map::FrameState;
+use slam::map::{FrameState, Readout};
 use store::{MaskShare, SessionRecord};
 
 /// How a loaded session is doing, as of its last frame.
@@ -46,6 +46,8 @@ pub struct SessionView {
     pub refined_camera: Option<CameraParameters>,
     /// Whether its images were found to contradict its camera.
     pub is_contradicted: bool,
+    /// The readout of its camera's shutter as it was found; `None` where it was told, or is not known.
+    pub readout: Option<Readout>,
     /// What of its images is left out as not being the scene, if anything is.
     pub mask: Option<MaskShare>,
     /// The session's options.
@@ -110,6 +112,7 @@ impl SessionView {
             camera,
             correction: _,
             is_contradicted,
+            readout,
             options,
             enlarges_small_images: _,
             enlarges_for_border: _,
@@ -126,6 +129,7 @@ impl SessionView {
             camera,
             refined_camera,
             is_contradicted,
+            readout,
             mask,
             options: options.into(),
             created_at_ns,

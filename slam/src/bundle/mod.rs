@@ -10,6 +10,7 @@ pub(crate) mod global;
 pub(crate) mod held_out;
 pub(crate) mod local;
 mod primitive_terms;
+pub(crate) mod readout;
 pub(crate) mod scatter;
 pub(crate) mod stage_two;
 pub(crate) mod two_view;

@@ -210,6 +210,11 @@ impl SlamConfig {
         self.alignment.validate()
     }
 
+    /// Whether the readout of the camera's shutter is looked for, until it is known.
+    pub(crate) fn looks_for_readout(&self, is_known: bool) -> bool {
+        self.rolling_shutter.readout_ns.is_none() && self.features.refine_calibration && !is_known
+    }
+
     /// The camera the engine works with: the session's, scaled down where its images are wider than the
     /// working width, and up where they are small.
     pub fn working_camera(&self, camera: &Camera) -> Camera {

@@ -184,6 +184,11 @@ impl Initializer {
         unrolling::unroll_pair(shutter, pair, &views, &self.config, rng)
     }
 
+    /// Takes over what is known of the camera's shutter.
+    pub fn set_rolling_shutter(&mut self, rolling_shutter: Option<RollingShutter>) {
+        self.rolling_shutter = rolling_shutter;
+    }
+
     /// The camera whose turn it is: a wrong one may still do for a map, but sees more motions as doubtful.
     fn hypothesis(&self) -> Option<CameraCorrection> {
         let n = self.hypotheses.len();

@@ -1,6 +1,6 @@
 //! The camera of a map, as far as the session knows it better than its calibration.
 
-use super::{Keyframe, KeyframeId, Map, VanishingObservation};
+use super::{Keyframe, KeyframeId, Map, Readout, VanishingObservation};
 use crate::features::FrameFeatures;
 use geometry::CameraCorrection;
 use std::sync::Arc;
@@ -40,6 +40,29 @@ impl Map {
     pub(crate) fn set_contradicted(&mut self, is_contradicted: bool) {
         self.changes.correction |= self.is_contradicted != is_contradicted;
         self.is_contradicted = is_contradicted;
+    }
+
+    /// Takes note of how long the camera takes to read an image. Keyframes' features are left as they are.
+    pub(crate) fn set_readout(&mut self, readout: Readout) {
+        self.changes.correction |= self.readout != Some(readout);
+        self.readout = Some(readout);
+    }
+
+    /// Puts a keyframe's features elsewhere; there are as many as before.
+    pub(crate) fn move_features(&mut self, id: KeyframeId, features: FrameFeatures) {
+        let is_of = |keyframe: &Keyframe| {
+            keyframe.points.len() == features.len() && keyframe.lines.len() == features.lines.len()
+        };
+        if !self.keyframe(id).is_some_and(is_of) {
+            return;
+        }
+        self.edit_keyframe(id, |keyframe| {
+            for vanishing in &mut keyframe.vanishing {
+                fit_again(vanishing, &features);
+            }
+            keyframe.features = Arc::new(features);
+        });
+        self.changes.moved_features.insert(id);
     }
 }
 

@@ -24,7 +24,9 @@ pub struct MapChanges {
     pub primitives: BTreeSet<PrimitiveId>,
     /// Global primitives that were removed.
     pub removed_primitives: BTreeSet<PrimitiveId>,
-    /// Whether [`Map::correction`] or [`Map::is_contradicted`] is another.
+    /// Those of the changed keyframes whose features lie elsewhere than before.
+    pub moved_features: BTreeSet<KeyframeId>,
+    /// Whether [`Map::correction`], [`Map::is_contradicted`] or [`Map::readout`] is another.
     pub correction: bool,
     /// Whether keyframes were made of images that are enlarged for their border
     /// (`SlamConfig::enlarge_for_border`).
@@ -53,6 +55,7 @@ impl MapChanges {
         self.points.extend(later.points);
         self.removed_points.extend(later.removed_points);
         self.keyframes.retain(|id| !self.removed_keyframes.contains(id));
+        self.moved_features.extend(later.moved_features);
         self.points.retain(|id| !self.removed_points.contains(id));
         self.lines.extend(later.lines);
         self.removed_lines.extend(later.removed_lines);

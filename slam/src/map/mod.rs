@@ -53,6 +53,7 @@ pub struct Map {
     correction: CameraCorrection,
     /// Whether the images contradict the calibration.
     is_contradicted: bool,
+    readout: Option<Readout>,
     changes: MapChanges,
 }
 
@@ -73,8 +74,31 @@ pub struct MapParts {
     pub correction: CameraCorrection,
     /// Whether the images contradict the calibration.
     pub is_contradicted: bool,
+    /// The readout of the camera's shutter, if that was found.
+    pub readout: Option<Readout>,
     /// Numbers above which ids are free; ids in use above them are respected too.
     pub last_ids: LastIds,
+}
+
+/// How long a camera takes to read the rows of an image, as the images show it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Readout {
+    /// From the first row to the last, nanoseconds.
+    pub readout_ns: i64,
+    /// Its standard deviation, nanoseconds.
+    pub sigma_ns: i64,
+}
+
+impl Readout {
+    /// From the first row to the last, milliseconds.
+    pub fn ms(&self) -> f64 {
+        self.readout_ns as f64 * 1e-6
+    }
+
+    /// Its standard deviation, milliseconds.
+    pub fn sigma_ms(&self) -> f64 {
+        self.sigma_ns as f64 * 1e-6
+    }
 }
 
 /// The highest ids ever given out in a session, 0 before the first.
@@ -184,6 +208,12 @@ impl Map {
     /// Whether the images were found to contradict the calibration by more than it may be corrected.
     pub fn is_contradicted(&self) -> bool {
         self.is_contradicted
+    }
+
+    /// The readout of the camera's shutter, where it was not told and the motion has shown it: it was taken
+    /// out of what the keyframes measured.
+    pub fn readout(&self) -> Option<Readout> {
+        self.readout
     }
 
     /// The submaps that have keyframes, in order.

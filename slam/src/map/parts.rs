@@ -20,6 +20,7 @@ impl Map {
             Arc::new(parts.removed_keyframes.into_iter().map(|gone| (gone.id, gone)).collect());
         map.correction = parts.correction;
         map.is_contradicted = parts.is_contradicted;
+        map.readout = parts.readout;
         for mut keyframe in parts.keyframes {
             super::calibration::adapt(&mut keyframe, &parts.correction);
             map.next_keyframe_idx = map.next_keyframe_idx.max(keyframe.id.index() + 1);
@@ -58,6 +59,7 @@ impl Map {
             removed_keyframes: self.removed_keyframes().copied().collect(),
             correction: self.correction,
             is_contradicted: self.is_contradicted,
+            readout: self.readout,
             last_ids: self.last_ids(),
         }
     }

@@ -1,6 +1,7 @@
 //! Where global bundle adjustment runs: at once, or on a thread of its own beside tracking and mapping.
 
 use super::intrinsics::{IntrinsicsCheck, Look, Memory};
+use super::readout::ReadoutLook;
 use crate::bundle::global::{GlobalResult, adjust};
 use crate::config::{SlamConfig, Threading};
 use crate::cores::{self, Purpose, Share};
@@ -16,12 +17,11 @@ pub(super) struct GlobalStage {
 }
 
 /// What is to be done.
-#[derive(Clone, Copy, Debug)]
 pub(super) enum Task {
     /// Poses, landmarks and primitives of a submap are adjusted.
     AdjustMap,
     /// The camera is looked at, and the submap adjusted to it if it turns out to be another than was thought.
-    CheckIntrinsics { before: Memory },
+    CheckIntrinsics { before: Memory, readout: Option<ReadoutLook> },
 }
 
 /// What came of it.
@@ -34,15 +34,16 @@ impl Task {
     fn run(self, map: &Map, submap: SubmapId, config: &SlamConfig, abort: &AtomicBool) -> Option<Done> {
         match self {
             Self::AdjustMap => adjust(map, submap, config, abort).map(Done::Adjusted),
-            Self::CheckIntrinsics { before } => {
-                Look { map, submap, config, abort }.check(before).map(Done::CheckedIntrinsics)
+            Self::CheckIntrinsics { before, readout } => {
+                let look = Look { map, submap, config, abort };
+                look.check(before, readout.as_ref()).map(Done::CheckedIntrinsics)
             }
         }
     }
 }
 
 struct UnderWay {
-    task: Task,
+    is_check: bool,
     abort: Arc<AtomicBool>,
     thread: JoinHandle<Option<Done>>,
 }
@@ -59,6 +60,7 @@ impl GlobalStage {
         if self.threading == Threading::Inline {
             return task.run(map, submap, config, &abort);
         }
+        let is_check = matches!(task, Task::CheckIntrinsics { .. });
         let (snapshot, config, aborted) = (map.clone(), config.clone(), abort.clone());
         let share = Share::of_this_thread();
         let run = move || {
@@ -67,7 +69,7 @@ impl GlobalStage {
         };
         // Without a thread the map stays as good as the essential graph has made it.
         let spawned = std::thread::Builder::new().name("slam-global-ba".into()).spawn(run);
-        self.under_way = spawned.ok().map(|thread| UnderWay { task, abort, thread });
+        self.under_way = spawned.ok().map(|thread| UnderWay { is_check, abort, thread });
         None
     }
 
@@ -80,9 +82,7 @@ impl GlobalStage {
 
     /// Whether the camera is being looked at.
     pub fn is_checking_intrinsics(&self) -> bool {
-        self.under_way
-            .as_ref()
-            .is_some_and(|under_way| matches!(under_way.task, Task::CheckIntrinsics { .. }))
+        self.under_way.as_ref().is_some_and(|under_way| under_way.is_check)
     }
 
     /// Whether nothing is under way.

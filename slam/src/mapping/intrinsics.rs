@@ -1,13 +1,14 @@
 //! Self-calibration: when the camera is checked against the images, and what comes of it.
 //! [method: Self-calibration]
 
+use super::readout::{FoundReadout, ReadoutLook};
 use crate::bundle::calibration::{Calibration, Estimate, Knowledge};
 use crate::bundle::global::{GlobalResult, adjust_to_camera};
 use crate::bundle::held_out::hold_out;
 use crate::config::{CalibrationConfig, CalibrationTrust, SlamConfig};
 use crate::cores;
 use crate::features::FrameFeatures;
-use crate::map::{Map, SubmapId};
+use crate::map::{Map, Readout, SubmapId};
 use crate::report::MapEvent;
 use geometry::nalgebra::Vector2;
 use geometry::{CameraCorrection, CorrectedPixels};
@@ -57,12 +58,17 @@ struct Doubt {
 }
 
 /// What a look at the camera came to.
+#[derive(Default)]
 pub(super) struct IntrinsicsCheck {
     memory: Memory,
     event: Option<MapEvent>,
     is_over: bool,
     /// The submap as it is with another camera.
     pub adjusted: Option<GlobalResult>,
+    /// The readout of the shutter that the submap shows, nanoseconds, if it shows one.
+    pub seen_readout_ns: Option<f64>,
+    /// The readout, if it was taken over.
+    pub readout: Option<Readout>,
     /// Where the new camera is so far from the one before that its map has to be gone over.
     pub search_again: Option<SubmapId>,
 }
@@ -117,7 +123,7 @@ impl IntrinsicsMonitor {
     pub fn note(&mut self, check: &IntrinsicsCheck) -> Option<MapEvent> {
         self.memory = check.memory;
         self.is_over |= check.is_over;
-        self.moved_far = check.search_again.is_some();
+        self.moved_far = check.search_again.is_some() && check.readout.is_none();
         if self.moved_far {
             self.next_keyframes = 0;
         }
@@ -140,9 +146,34 @@ impl Look<'_> {
         self.abort.load(Ordering::Relaxed)
     }
 
-    /// Looks at the camera and, if it is another than was thought, adjusts the submap to it. `None` if
-    /// `abort` was set meanwhile.
-    pub fn check(&self, before: Memory) -> Option<IntrinsicsCheck> {
+    /// Looks at the camera and, if it is another than was thought, adjusts the submap to it: at the readout
+    /// of its shutter first, which would be taken for errors of the intrinsics. `None` if `abort` was set
+    /// meanwhile.
+    pub fn check(&self, before: Memory, readout: Option<&ReadoutLook>) -> Option<IntrinsicsCheck> {
+        let aborted = || self.is_aborted();
+        let (seen_readout_ns, found) = match readout {
+            Some(look) => {
+                let check = look.check(self.map, self.submap, self.config, self.abort, aborted)?;
+                (check.seen_ns, check.found)
+            }
+            None => (None, None),
+        };
+        let check = match found {
+            Some(found) => self.with_readout(found, before),
+            None => self.check_intrinsics(before)?,
+        };
+        Some(IntrinsicsCheck { seen_readout_ns, ..check })
+    }
+
+    fn with_readout(&self, found: FoundReadout, before: Memory) -> IntrinsicsCheck {
+        let FoundReadout { readout, adjusted } = found;
+        let event = Some(MapEvent::ReadoutFound(readout));
+        let (readout, adjusted) = (Some(readout), Some(adjusted));
+        let search_again = Some(self.submap);
+        IntrinsicsCheck { memory: before, event, readout, adjusted, search_again, ..Default::default() }
+    }
+
+    fn check_intrinsics(&self, before: Memory) -> Option<IntrinsicsCheck> {
         let config = &self.config.calibration;
         match config.trust {
             CalibrationTrust::Given if before.is_given_up || self.was_given_up() => {
@@ -176,8 +207,7 @@ impl Look<'_> {
         let memory = Memory { is_known, doubt: None, is_undetermined, ..before };
         let undetermined = (is_undetermined && !before.is_undetermined)
             .then_some(MapEvent::CalibrationUndetermined { focal_sigma });
-        let nothing =
-            IntrinsicsCheck { memory, event: None, is_over: false, adjusted: None, search_again: None };
+        let nothing = IntrinsicsCheck { memory, ..IntrinsicsCheck::default() };
         if !estimate.moves(&self.map.correction(), config.min_move_sigmas) {
             return Some(IntrinsicsCheck { event: undetermined, ..nothing });
         }
@@ -198,13 +228,7 @@ impl Look<'_> {
     fn check_given(&self, before: Memory) -> Option<IntrinsicsCheck> {
         let config = &self.config.calibration;
         let held = self.estimate(config.knowledge(), false)?;
-        let nothing = IntrinsicsCheck {
-            memory: Memory::default(),
-            event: None,
-            is_over: false,
-            adjusted: None,
-            search_again: None,
-        };
+        let nothing = IntrinsicsCheck::default();
         if config.suspected
             && let Some(contradicted) = self.check_suspected()?
         {
@@ -265,11 +289,9 @@ impl Look<'_> {
             return self.find(knowledge, memory).map(Some);
         }
         Some(Some(IntrinsicsCheck {
-            memory: Memory::default(),
             event: Some(MapEvent::CalibrationContradicted { correction: wide.correction }),
             is_over: true,
-            adjusted: None,
-            search_again: None,
+            ..IntrinsicsCheck::default()
         }))
     }
 

@@ -6,6 +6,7 @@ mod global_stage;
 mod intrinsics;
 mod lines;
 mod primitives;
+mod readout;
 pub(crate) mod stage;
 mod triangulation;
 
@@ -17,12 +18,13 @@ use crate::map::{
     FramePose, FrameRecord, Keyframe, KeyframeId, Map, MapUpdate, Observation, PointId, SubmapId,
 };
 use crate::report::{LineJudgement, MapEvent};
-use geometry::CameraCorrection;
 use geometry::nalgebra::Vector3;
+use geometry::{Camera, CameraCorrection};
 use global_stage::{Done, GlobalStage, Task};
 use intrinsics::IntrinsicsMonitor;
 use lines::LineMapper;
 use primitives::PrimitiveMapper;
+use readout::ReadoutMonitor;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -69,6 +71,8 @@ pub(crate) struct Mapper {
     global: GlobalStage,
     /// Absent where the calibration is to be taken as it is.
     camera: Option<IntrinsicsMonitor>,
+    /// Absent where all rows of an image are read at once.
+    readout: Option<ReadoutMonitor>,
     /// Submaps that grew since they were adjusted by their primitives.
     grown: BTreeSet<SubmapId>,
     /// Corrections of the map that nobody was told of yet.
@@ -76,9 +80,11 @@ pub(crate) struct Mapper {
 }
 
 impl Mapper {
+    /// `working_camera` is that of the images that features are looked for in.
+    ///
     /// # Errors
     /// If the configuration cannot be used.
-    pub fn new(config: SlamConfig, map: Map) -> Result<Self, ConfigError> {
+    pub fn new(config: SlamConfig, working_camera: &Camera, map: Map) -> Result<Self, ConfigError> {
         let with_primitives = config.features.lines && config.features.global_primitives;
         let primitives = with_primitives.then(|| PrimitiveMapper::new(&config)).transpose()?;
         let loops = config.features.loop_closing.then(|| LoopCloser::new(&config));
@@ -87,8 +93,21 @@ impl Mapper {
         let is_contradicted = map.is_contradicted();
         let monitor = || IntrinsicsMonitor::new(&config.calibration, is_contradicted);
         let camera = config.features.refine_calibration.then(monitor);
+        let readout = ReadoutMonitor::new(&config, working_camera, &map);
         let grown = BTreeSet::new();
-        Ok(Self { config, map, recent_points, lines, primitives, loops, global, camera, grown, events })
+        Ok(Self {
+            config,
+            map,
+            recent_points,
+            lines,
+            primitives,
+            loops,
+            global,
+            camera,
+            readout,
+            grown,
+            events,
+        })
     }
 
     /// Hands out what corrected the map since the last call.
@@ -121,6 +140,7 @@ impl Mapper {
             // Only the directions that the first views show say how the map lay before anything drifted.
             [first, second].into_iter().for_each(|id| primitives.extend(&mut self.map, id, &self.config));
         }
+        self.note_motion(&initial.frames);
         self.update(initial.frames)
     }
 
@@ -142,6 +162,9 @@ impl Mapper {
         abort: &AtomicBool,
     ) -> MapUpdate {
         self.take_over_global(false);
+        if let Some(readout) = &mut self.readout {
+            readout.note_keyframe(&new, &self.map);
+        }
         let id = new.keyframe.id;
         for (point, n_visible, n_found) in new.visibility.iter() {
             self.map.count_visibility(point, n_visible, n_found);
@@ -156,6 +179,7 @@ impl Mapper {
             frames.iter_mut().filter(of_it).for_each(|frame| frame.pose = Some(new.place));
             return self.update(frames);
         }
+        self.unroll_keyframes(false);
         culling::cull_recent_points(&mut self.map, &mut self.recent_points, id, &self.config.mapping);
         let made = triangulation::triangulate_with_neighbors(&mut self.map, id, &self.config.mapping);
         self.recent_points.extend(made);
@@ -176,6 +200,7 @@ impl Mapper {
     /// Adds frames to the trajectory.
     pub fn record(&mut self, frames: Vec<FrameRecord>) -> MapUpdate {
         self.take_over_global(false);
+        self.note_motion(&frames);
         self.update(frames)
     }
 
@@ -215,7 +240,8 @@ impl Mapper {
     fn check_intrinsics(&mut self, share: f64) {
         let Some(camera) = self.camera.as_mut().filter(|_| self.global.is_idle()) else { return };
         let Some(submap) = camera.is_due(&self.map, share, &self.config.calibration) else { return };
-        let task = Task::CheckIntrinsics { before: camera.memory() };
+        let readout = self.readout.as_ref().and_then(|readout| readout.look(&self.map, submap));
+        let task = Task::CheckIntrinsics { before: camera.memory(), readout };
         let done = self.global.start(task, &self.map, submap, &self.config);
         self.take_over(done);
     }
@@ -272,6 +298,13 @@ impl Mapper {
                     _ => {}
                 }
                 self.events.extend(event);
+                if let Some(monitor) = &mut self.readout {
+                    monitor.note_look(check.seen_readout_ns, check.readout);
+                }
+                if let Some(readout) = check.readout {
+                    self.map.set_readout(readout);
+                    self.unroll_keyframes(true);
+                }
                 if let Some(result) = check.adjusted {
                     result.merge_into(&mut self.map);
                     if let Some(submap) = check.search_again {
@@ -283,6 +316,19 @@ impl Mapper {
         };
         if let Some(result) = result {
             result.merge_into(&mut self.map);
+        }
+    }
+
+    fn note_motion(&mut self, frames: &[FrameRecord]) {
+        if let Some(readout) = &mut self.readout {
+            readout.note(frames, &self.map);
+        }
+    }
+
+    /// Takes the readout out of the keyframes in which it is not; out of all, if it is `another` than before.
+    fn unroll_keyframes(&mut self, another: bool) {
+        if let Some(readout) = &self.readout {
+            readout.unroll(&mut self.map, another);
         }
     }
 

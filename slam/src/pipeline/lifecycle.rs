@@ -47,7 +47,8 @@ impl Pipeline {
         let first_track = segments.map(|segment| segment.track + 1).max().unwrap_or(0);
         let mut front_end = FrontEnd::new(&config, &camera, first_track, state.mask)?;
         front_end.correct_camera(map.correction());
-        let mapper = Mapper::new(config.clone(), map.clone())?;
+        let working_camera = config.working_camera(&camera);
+        let mapper = Mapper::new(config.clone(), &working_camera, map.clone())?;
         let mapping = match config.threading {
             Threading::Inline => MappingStage::inline(mapper),
             Threading::Background => MappingStage::background(mapper).map_err(|error| ConfigError {
@@ -55,8 +56,7 @@ impl Pipeline {
                 reason: format!("the mapping thread cannot be started: {error}"),
             })?,
         };
-        let working_camera = config.working_camera(&camera);
-        let rolling_shutter = RollingShutter::new(&working_camera, config.rolling_shutter.readout_ns);
+        let rolling_shutter = RollingShutter::of(&working_camera, readout_ns(&config, &map));
         let mut tracker = Tracker::new(config.clone(), working_camera, rolling_shutter.clone())?;
         tracker.sync_map(&map);
         let is_empty = map.n_keyframes() == 0;
@@ -185,6 +185,18 @@ impl Pipeline {
         })
     }
 
+    /// Has what was found of the camera's shutter be taken out of what follows.
+    pub(super) fn sync_rolling_shutter(&mut self) {
+        let working_camera = self.config.working_camera(&self.camera);
+        let shutter = RollingShutter::of(&working_camera, readout_ns(&self.config, &self.map));
+        self.tracker.set_rolling_shutter(shutter.clone());
+        self.backfill.set_rolling_shutter(shutter.clone());
+        if let Some(initializer) = &mut self.initializer {
+            initializer.set_rolling_shutter(shutter.clone());
+        }
+        self.rolling_shutter = shutter;
+    }
+
     /// Matches are scarce before there is a map, so more features are asked for.
     pub(super) fn choose_n_features(&mut self) {
         let n_features = match &self.initializer {
@@ -203,4 +215,10 @@ impl Pipeline {
             CameraState::Lost
         }
     }
+}
+
+/// The readout as it was told, or as it was found; 0 until then.
+fn readout_ns(config: &SlamConfig, map: &Map) -> i64 {
+    let found = map.readout().map_or(0, |readout| readout.readout_ns);
+    config.rolling_shutter.readout_ns.unwrap_or(found)
 }

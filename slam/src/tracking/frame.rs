@@ -2,6 +2,7 @@
 
 use crate::features::{FrameFeatures, View};
 use crate::map::{FramePose, Keyframe, KeyframeId, LineId, Map, PointId, PrimitiveId, SubmapId};
+use crate::rolling_shutter::InverseDepths;
 use geometry::Pose;
 use geometry::nalgebra::Vector3;
 use std::sync::Arc;
@@ -93,6 +94,21 @@ impl TrackedFrame {
             (0..N_LINE_SAMPLES).map(move |i| start + (end - start) * share(i))
         });
         points.chain(samples).map(|position| self.camera_from_world.transform(&position)).collect()
+    }
+
+    /// Inverse depths of the landmarks that the frame sees, by place. `None` if it sees none.
+    pub fn inverse_depths(&self, map: &Map) -> Option<InverseDepths> {
+        let seen = self.landmark_positions(map).into_iter().filter(|position| position.z > 0.0);
+        let places = seen.map(|position| (self.features.pinhole.project(&position), 1.0 / position.z));
+        InverseDepths::new(self.features.bounds, places)
+    }
+
+    /// Inverse depth of the point that a keypoint was matched to, if it was and that is in front of the
+    /// camera.
+    pub fn inverse_depth_of(&self, feature_idx: usize, map: &Map) -> Option<f64> {
+        let point = map.point(self.points[feature_idx]?)?;
+        let depth = self.camera_from_world.transform(&point.position).z;
+        (depth > 0.0).then(|| 1.0 / depth)
     }
 
     /// Makes the frame a keyframe with the given identity.

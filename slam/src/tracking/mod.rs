@@ -114,6 +114,11 @@ impl Tracker {
         }
     }
 
+    /// Takes over what is known of the camera's shutter.
+    pub fn set_rolling_shutter(&mut self, rolling_shutter: Option<RollingShutter>) {
+        self.rolling_shutter = rolling_shutter;
+    }
+
     /// Takes the image of the frame that is tracked next.
     pub fn set_image(&mut self, image: Arc<GrayImage>) {
         self.image = Some(image);

@@ -7,8 +7,8 @@ use super::frame::TrackedFrame;
 use super::pose::place_frame;
 use crate::features::View;
 use crate::map::Map;
-use crate::rolling_shutter::{InverseDepths, RollingShutter, Velocity};
-use geometry::nalgebra::{Vector2, Vector3};
+use crate::rolling_shutter::{RollingShutter, Velocity};
+use geometry::nalgebra::Vector2;
 use std::sync::Arc;
 
 /// How often the motion and the pose that depend on each other are found anew: each time the change is the
@@ -21,7 +21,7 @@ impl Tracker {
         let (shutter, last) = (self.rolling_shutter.as_ref()?, self.last.as_ref()?);
         let (motion, interval_ns) = last.motion.as_ref()?;
         let velocity = RollingShutter::velocity(motion, *interval_ns)?;
-        let depths = inverse_depths(&last.frame, map)?;
+        let depths = last.frame.inverse_depths(map)?;
         let features = shutter.unroll(&view.features, &velocity, |_, place| depths.at(place));
         Some(View { features: Arc::new(features), ..view.clone() })
     }
@@ -34,12 +34,10 @@ impl Tracker {
         }
         for _ in 0..N_ROUNDS {
             let Some(velocity) = last.velocity_at(&found.frame) else { return };
-            let Some(depths) = inverse_depths(&found.frame, map) else { return };
+            let Some(depths) = found.frame.inverse_depths(map) else { return };
             let inverse_depth = |feature_idx: Option<usize>, place: &Vector2<f64>| {
-                let matched = feature_idx.and_then(|idx| found.frame.points[idx]);
-                matched
-                    .and_then(|id| inverse_depth_of(&found.frame, map.point(id)?.position))
-                    .unwrap_or_else(|| depths.at(place))
+                let matched = feature_idx.and_then(|idx| found.frame.inverse_depth_of(idx, map));
+                matched.unwrap_or_else(|| depths.at(place))
             };
             let features = shutter.unroll(&rolled.features, &velocity, inverse_depth);
             found.frame.features = Arc::new(features);
@@ -62,17 +60,4 @@ impl LastFrame {
         let share = interval_ns as f64 / (interval_ns + interval_before_ns) as f64;
         Some(between + (between - before) * share)
     }
-}
-
-/// Those of the landmarks that the frame sees. `None` if it sees none.
-fn inverse_depths(frame: &TrackedFrame, map: &Map) -> Option<InverseDepths> {
-    let seen = frame.landmark_positions(map).into_iter().filter(|position| position.z > 0.0);
-    let places = seen.map(|position| (frame.features.pinhole.project(&position), 1.0 / position.z));
-    InverseDepths::new(frame.features.bounds, places)
-}
-
-/// `None` for what is not in front of the camera.
-fn inverse_depth_of(frame: &TrackedFrame, position: Vector3<f64>) -> Option<f64> {
-    let depth = frame.camera_from_world.transform(&position).z;
-    (depth > 0.0).then(|| 1.0 / depth)
 }

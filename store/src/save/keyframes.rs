@@ -32,8 +32,8 @@ const REMOVED_ROWS: MultiRow<'static> = MultiRow {
 };
 
 /// Features are large: statements of one row, the text of which is prepared once.
-const INSERT_FEATURES: &str =
-    "INSERT INTO keyframe_features (session, keyframe, features) VALUES ($1, $2, $3)";
+const WRITE_FEATURES: &str = "INSERT INTO keyframe_features (session, keyframe, features) VALUES ($1, $2, $3)
+     ON CONFLICT (session, keyframe) DO UPDATE SET features = excluded.features";
 
 /// Writes changed keyframes' rows, deletes removed ones', and notes what those hang on.
 pub(super) async fn write_keyframes(
@@ -131,7 +131,7 @@ async fn delete_keyframes(
     Ok(())
 }
 
-/// Writes the features of keyframes that are new to the database.
+/// Writes the features of keyframes that are new to the database, or that have them elsewhere than before.
 pub(super) async fn write_features(
     connection: &mut Connection,
     session: i64,
@@ -149,8 +149,8 @@ pub(super) async fn write_features(
     let known: BTreeSet<i64> = known.into_iter().collect();
     for keyframe in update.changes.keyframes.iter().filter_map(|id| update.map.keyframe(*id)) {
         let id = keyframe_column(keyframe.id)?;
-        if !known.contains(&id) {
-            query(INSERT_FEATURES)
+        if !known.contains(&id) || update.changes.moved_features.contains(&keyframe.id) {
+            query(WRITE_FEATURES)
                 .bind(session)
                 .bind(id)
                 .bind(encode_features(&keyframe.features))

@@ -138,7 +138,7 @@ async fn write_update(
     landmarks::write::<LineLandmark>(transaction, number, update).await?;
     primitives::write_primitives(transaction, number, update).await?;
     if update.changes.correction {
-        write_correction(transaction, number, &update.map.correction(), update.map.is_contradicted()).await?;
+        write_correction(transaction, number, &update.map).await?;
     }
     if update.changes.enlarged {
         write_enlarged(transaction, number).await?;

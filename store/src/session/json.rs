@@ -44,7 +44,8 @@ pub struct SessionOptions {
     /// Whether what is not the scene is looked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub find_mask: Option<bool>,
-    /// Rolling shutter: from the first row of an image to the last, milliseconds.
+    /// Rolling shutter: from the first row of an image to the last, milliseconds; `None` where that is not
+    /// known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub readout_ms: Option<f64>,
 }

@@ -7,8 +7,8 @@ use crate::mask::write_mask;
 use crate::number::{from_column, from_column_u32, to_column};
 use crate::{Page, Store, StoreError};
 use geometry::{Camera, CameraCorrection, CameraParameters};
-use slam::SceneMask;
-use slam::map::{FrameState, LastIds};
+use slam::map::{FrameState, LastIds, Readout};
+use slam::{Map, SceneMask};
 
 #[cfg(fuzzing)]
 pub(crate) use json::decode_camera;
@@ -40,6 +40,8 @@ pub struct SessionRecord {
     pub correction: CameraCorrection,
     /// Whether the images were found to contradict the camera as it was given.
     pub is_contradicted: bool,
+    /// The readout of the camera's shutter, if the session has found it.
+    pub readout: Option<Readout>,
     /// The session's options.
     pub options: SessionOptions,
     /// Whether small images are worked on enlarged (`SlamConfig::enlarge_below_px`): not in sessions that
@@ -304,6 +306,13 @@ pub(crate) fn parse_session(row: &Row) -> Result<(i64, SessionRecord), StoreErro
             k2: row.try_get("k2_correction")?,
         },
         is_contradicted: row.try_get("calibration_contradicted")?,
+        readout: match row.try_get("found_readout_ns")? {
+            Some(readout_ns) => {
+                let sigma_ns: Option<i64> = row.try_get("found_readout_sigma_ns")?;
+                Some(Readout { readout_ns, sigma_ns: sigma_ns.unwrap_or(0) })
+            }
+            None => None,
+        },
         options: json::decode_options(row.try_get("options")?)?,
         enlarges_small_images: row.try_get("enlarges_small_images")?,
         enlarges_for_border: row.try_get("enlarges_for_border")?,
@@ -370,27 +379,30 @@ pub(crate) async fn write_enlarged(transaction: &mut Connection, number: i64) ->
     Ok(())
 }
 
-/// Writes how the session's camera differs from its calibration, and whether the images contradict it.
+/// Writes how the session's camera differs from its calibration, whether the images contradict it, and the
+/// readout of its shutter.
 pub(crate) async fn write_correction(
     connection: &mut Connection,
     number: i64,
-    correction: &CameraCorrection,
-    is_contradicted: bool,
+    map: &Map,
 ) -> Result<(), StoreError> {
-    let CameraCorrection { focal, center_x, center_y, k1, k2 } = *correction;
+    let CameraCorrection { focal, center_x, center_y, k1, k2 } = map.correction();
     if ![focal, center_x, center_y, k1, k2].iter().all(|value| value.is_finite()) {
         return Err(StoreError::NotFinite("the correction of the camera".into()));
     }
     query(
         "UPDATE sessions SET focal_correction = $1, centre_x_correction = $2, centre_y_correction = $3,
-         k1_correction = $4, k2_correction = $5, calibration_contradicted = $6 WHERE number = $7",
+         k1_correction = $4, k2_correction = $5, calibration_contradicted = $6, found_readout_ns = $7,
+         found_readout_sigma_ns = $8 WHERE number = $9",
     )
     .bind(focal)
     .bind(center_x)
     .bind(center_y)
     .bind(k1)
     .bind(k2)
-    .bind(is_contradicted)
+    .bind(map.is_contradicted())
+    .bind(map.readout().map(|readout| readout.readout_ns))
+    .bind(map.readout().map(|readout| readout.sigma_ns))
     .bind(number)
     .execute(connection)
     .await?;

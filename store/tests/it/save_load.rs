@@ -2,7 +2,7 @@ use crate::world::*;
 use geometry::{CameraCorrection, Pose};
 use nalgebra::Vector3;
 use slam::config::SlamConfig;
-use slam::map::{FrameState, LastIds, MapChanges, MapParts, RemovedKeyframe, SubmapId};
+use slam::map::{FrameState, LastIds, MapChanges, MapParts, Readout, RemovedKeyframe, SubmapId};
 use slam::{Keyframe, Map, MapUpdate, NoClock, Pipeline};
 use std::sync::Arc;
 use store::{KeyframeImage, SessionCounts, StoreError};
@@ -45,11 +45,13 @@ async fn a_camera_that_was_put_right_comes_back(home: Home) {
     let store = home.store_with_session().await;
     let correction =
         CameraCorrection { focal: -0.013, center_x: 0.002, center_y: 0.1 + 0.2, k1: -0.03, k2: 0.001 };
-    let saved = MapParts { correction, ..parts(12, SMALL) };
+    let readout = Some(Readout { readout_ns: 16_700_001, sigma_ns: 1_200_000 });
+    let saved = MapParts { correction, readout, ..parts(12, SMALL) };
     let update = first_update(&saved);
     store.save_update("s", &update, TRACKED, &[]).await.unwrap();
     let record = store.get_session("s").await.unwrap();
     assert_eq!((record.correction, record.refined_camera()), (CameraCorrection::default(), None));
+    assert_eq!(record.readout, None);
 
     let changes = MapChanges { correction: true, ..MapChanges::default() };
     let update = MapUpdate { map: update.map, changes, frames: vec![] };
@@ -65,11 +67,33 @@ async fn a_camera_that_was_put_right_comes_back(home: Home) {
     let config = SlamConfig { threading: slam::Threading::Inline, ..SlamConfig::default() };
     let resumed = Pipeline::resume(config, given, Arc::new(NoClock), loaded.resume).unwrap().map();
     assert_eq!(resumed.correction(), correction);
+    assert_eq!((loaded.record.readout, resumed.readout()), (readout, readout));
     assert_same_parts(&resumed.to_parts(), &update.map.to_parts());
 
     // What cannot be a camera is refused.
     let broken = CameraCorrection { focal: f64::NAN, ..correction };
     assert!(Map::from_parts(MapParts { correction: broken, ..parts(12, SMALL) }).is_err());
+}
+
+async fn features_are_written_again_only_where_they_lie_elsewhere(home: Home) {
+    let store = home.store_with_session().await;
+    let before = parts(12, SMALL);
+    store.save_update("s", &first_update(&before), TRACKED, &[]).await.unwrap();
+
+    let mut after = before.clone();
+    for (keyframe, other) in after.keyframes.iter_mut().zip(&parts(13, SMALL).keyframes) {
+        keyframe.features = other.features.clone();
+    }
+    let (keyframes, moved_features) = ([kf(2), kf(3)].into(), [kf(3)].into());
+    let changes = MapChanges { keyframes, moved_features, ..MapChanges::default() };
+    let update = MapUpdate { map: map(&after), changes, frames: vec![] };
+    store.save_update("s", &update, TRACKED, &[]).await.unwrap();
+
+    let loaded = store.load_session("s", &SlamConfig::default()).await.unwrap().resume.map;
+    let keypoints = |parts: &MapParts, idx: usize| parts.keyframes[idx].features.keypoints.clone();
+    assert_ne!(keypoints(&before, 2), keypoints(&after, 2));
+    assert_eq!(keypoints(&loaded, 1), keypoints(&before, 1));
+    assert_eq!(keypoints(&loaded, 2), keypoints(&after, 2));
 }
 
 async fn a_session_without_a_map_comes_back_empty(home: Home) {
@@ -295,6 +319,7 @@ async fn updates_that_cannot_be_stored_leave_no_trace(home: Home) {
 on_either_engine! {
     a_saved_map_comes_back_bit_for_bit,
     a_camera_that_was_put_right_comes_back,
+    features_are_written_again_only_where_they_lie_elsewhere,
     a_session_without_a_map_comes_back_empty,
     only_rows_named_in_the_changes_are_written,
     removed_key_frames_and_points_vanish,

@@ -87,7 +87,8 @@ pub struct OptionArgs {
     /// Do not look for what stays in the image while the scene moves, such as borders and watermarks
     #[arg(long)]
     no_mask: bool,
-    /// Rolling shutter: milliseconds from the first row of an image to the last; phones take 8 to 35
+    /// Rolling shutter: milliseconds from the first row of an image to the last; phones take 8 to 35, 0 is a
+    /// global shutter. Left out it is found where the motion shows it
     #[arg(long, value_name = "MS")]
     readout_ms: Option<f64>,
     /// Run every stage in turn: the same frames and seed give the same map

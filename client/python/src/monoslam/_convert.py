@@ -104,7 +104,13 @@ def session(message: pb.Session) -> model.Session:
         last_timestamp_ns=optional(m, "last_timestamp_ns"),
         meters_per_unit=optional(m, "metres_per_unit"),
         refined_camera=None if refined is None else camera(refined),
+        found_readout=_readout(m),
     )
+
+
+def _readout(message: Any, name: str = "found_readout") -> model.Readout | None:
+    found = optional(message, name)
+    return None if found is None else model.Readout(found.readout_ms, found.sigma_ms)
 
 
 def pose(message: Any) -> model.Pose | None:
@@ -122,7 +128,8 @@ def _corrections(messages: Any) -> tuple[model.MapCorrection, ...]:
         if found is not None:
             camera = model.CameraCorrection(found.focal, found.centre_x, found.centre_y, found.adopted)
         gone, kept = optional(m, "submap_gone"), optional(m, "submap_kept")
-        return model.MapCorrection(m.keyframe, m.matched_keyframe, m.n_matches, gone, kept, camera)
+        readout = _readout(m, "readout")
+        return model.MapCorrection(m.keyframe, m.matched_keyframe, m.n_matches, gone, kept, camera, readout)
 
     return tuple(one(message) for message in messages)
 

@@ -82,7 +82,8 @@ class SessionOptions:
     find_mask: bool | None = None
     """Whether what stays in the image while the scene moves is found and left out."""
     readout_ms: float | None = None
-    """Rolling shutter: milliseconds from the first row of an image to the last; phones take 8 to 35."""
+    """Rolling shutter: milliseconds from the first row of an image to the last; phones take 8 to 35, 0 is a
+    global shutter. `None` has the session find it where the motion shows it."""
 
 
 class TrackingState(Enum):
@@ -104,6 +105,15 @@ class Scale(Enum):
     """Map units."""
     METRIC = "metric"
     """Meters."""
+
+
+@dataclass(frozen=True)
+class Readout:
+    """How long a camera takes to read the rows of an image."""
+
+    readout_ms: float
+    sigma_ms: float
+    """Its standard deviation."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +142,8 @@ class Session:
     """`None` while the scale is free."""
     refined_camera: Camera | None
     """The camera as the session has found it to be; `None` while the calibration is used as it was given."""
+    found_readout: Readout | None = None
+    """The readout of its rolling shutter as found; `None` where told, and until the motion has shown one."""
 
 
 @dataclass(frozen=True)
@@ -197,6 +209,8 @@ class MapCorrection:
     submap_gone: int | None
     submap_kept: int | None
     camera: CameraCorrection | None
+    readout: Readout | None = None
+    """That of the camera's rolling shutter, where it was found."""
 
 
 @dataclass(frozen=True)

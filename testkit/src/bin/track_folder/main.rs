@@ -17,7 +17,8 @@ use geometry::{Camera, CameraParameters};
 use recordings::{Recording, Trajectory, find_folder};
 use slam::map::{FrameRecord, FrameState};
 use slam::{
-    CalibrationTrust, FeatureSwitches, Frame, Pipeline, ResumeState, SceneMask, SlamConfig, Threading,
+    CalibrationTrust, FeatureSwitches, Frame, Pipeline, ResumeState, RollingShutterConfig, SceneMask,
+    SlamConfig, Threading,
 };
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -60,7 +61,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         config.calibration.trust = CalibrationTrust::Approximate;
     }
     if let Some(ms) = arguments.value("--readout") {
-        config.rolling_shutter.readout_ns = (ms.parse::<f64>()? * 1e6) as i64;
+        config.rolling_shutter = RollingShutterConfig::of_ms(ms.parse()?);
     }
     if flag("--log") {
         tracing_subscriber::fmt().with_max_level(tracing::Level::DEBUG).with_ansi(false).init();
@@ -152,6 +153,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         camera.with_correction(map.correction()).corrected_parameters();
     if let Some(known) = pipeline.mask() {
         println!("mask: {:.4} of the image is left out", known.mask.share());
+    }
+    if let Some(readout) = map.readout() {
+        println!("readout {:.2} ms, standard deviation {:.2}", readout.ms(), readout.sigma_ms());
     }
     println!("camera fx {fx:.2} fy {fy:.2} cx {cx:.2} cy {cy:.2} distortion {distortion:.4?}");
     println!("cpu ms: {} wall ms: {} total {elapsed:.1} s", summary(&mut cpu_ms), summary(&mut wall_ms));

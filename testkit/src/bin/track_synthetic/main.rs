@@ -10,7 +10,7 @@
 //! | `--every N` | shows it every N-th frame only |
 //! | `--backwards` | from the last frame to the first: an error that turns round with the walk is the data's |
 //! | `--readout MS` | a rolling shutter that reads the image in so many milliseconds |
-//! | `--told-readout MS` | the engine is told of another than that |
+//! | `--told-readout MS` | the engine is told of another than that, or of none and has to find it: `unknown` |
 //! | `--engine-seed N` | the engine's random numbers; otherwise the sequence's seed |
 //! | `--no-loops`, `--no-lines`, `--no-primitives` | switches features off |
 //! | `--no-calibration` | takes the calibration as it is given |
@@ -50,7 +50,7 @@ use recording::Recording;
 use revisit::Revisit;
 use run::Run;
 use score::{Places, Score};
-use slam::{Frame, FrameReport, Pipeline, ResumeState, SlamConfig, Threading};
+use slam::{Frame, FrameReport, Pipeline, ResumeState, RollingShutterConfig, SlamConfig, Threading};
 use spans::SpanTimes;
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -137,11 +137,13 @@ fn recorded(preset: Preset, seed: u64, arguments: &Arguments) -> Result<Recordin
     Recording::new(preset, seed, folder, arguments.flag("--backwards"), readout_ms)
 }
 
-/// The readout that the engine is told of, nanoseconds.
-fn told_readout_ns(arguments: &Arguments) -> Result<i64, Box<dyn Error>> {
+/// What the engine is told of the readout; nothing where there is none.
+fn told_readout(arguments: &Arguments) -> Result<RollingShutterConfig, Box<dyn Error>> {
     let told = arguments.value("--told-readout").or_else(|| arguments.value("--readout"));
-    let ms: f64 = told.map_or(Ok(0.0), |ms| ms.parse())?;
-    Ok((ms * 1e6) as i64)
+    match told.map(String::as_str) {
+        None | Some("unknown") => Ok(RollingShutterConfig::default()),
+        Some(ms) => Ok(RollingShutterConfig::of_ms(ms.parse()?)),
+    }
 }
 
 /// The camera as the engine is told of it.
@@ -170,7 +172,7 @@ fn track(
     config.features.refine_calibration = switches.calibration;
     config.features.lines = !flag("--no-lines");
     config.features.global_primitives = switches.primitives;
-    config.rolling_shutter.readout_ns = told_readout_ns(arguments)?;
+    config.rolling_shutter = told_readout(arguments)?;
     let clock = Arc::new(WallClock::start());
     let mut camera = given_camera(recording.camera(), arguments)?;
     if flag("--unknown-camera") {
@@ -221,6 +223,9 @@ fn track(
     let (n_loops, n_merges) = (run.n_loops, run.n_merges);
     let run_camera = run.camera;
     print_camera(recording.camera(), &nominal.with_correction(map.correction()));
+    if let Some(readout) = map.readout() {
+        println!("found readout: {:.2} ms, standard deviation {:.2}", readout.ms(), readout.sigma_ms());
+    }
     run.print(&map);
     places.print(&recording, n_shown);
     if let Some(revisit) = &revisit {

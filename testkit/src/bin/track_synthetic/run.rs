@@ -33,7 +33,9 @@ impl Run {
                 MapEvent::CalibrationRefined { correction, focal_sigma } => {
                     self.camera = Some([correction.focal, *focal_sigma]);
                 }
-                MapEvent::CalibrationContradicted { .. } | MapEvent::CalibrationUndetermined { .. } => {}
+                MapEvent::CalibrationContradicted { .. }
+                | MapEvent::CalibrationUndetermined { .. }
+                | MapEvent::ReadoutFound(_) => {}
             }
         }
         self.cpu_ms.push(report.cpu_ns as f64 * 1e-6);

@@ -208,7 +208,7 @@ class SessionOptions(_message.Message):
     def __init__(self, deterministic: bool = ..., seed: _Optional[int] = ..., n_features: _Optional[int] = ..., points: bool = ..., lines: bool = ..., global_primitives: bool = ..., loop_closing: bool = ..., max_keyframes: _Optional[int] = ..., refine_calibration: bool = ..., calibration: _Optional[_Union[Calibration, str]] = ..., give_up_calibration: bool = ..., find_mask: bool = ..., readout_ms: _Optional[float] = ...) -> None: ...
 
 class Session(_message.Message):
-    __slots__ = ("id", "camera", "options", "created_at_ns", "state", "n_frames", "n_keyframes", "n_points", "n_lines", "n_primitives", "n_submaps", "durable_sequence", "next_sequence", "loaded", "has_writer", "last_timestamp_ns", "metres_per_unit", "refined_camera", "damage", "scale_measurement", "mask", "camera_warnings")
+    __slots__ = ("id", "camera", "options", "created_at_ns", "state", "n_frames", "n_keyframes", "n_points", "n_lines", "n_primitives", "n_submaps", "durable_sequence", "next_sequence", "loaded", "has_writer", "last_timestamp_ns", "metres_per_unit", "refined_camera", "damage", "scale_measurement", "mask", "camera_warnings", "found_readout")
     ID_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
@@ -231,6 +231,7 @@ class Session(_message.Message):
     SCALE_MEASUREMENT_FIELD_NUMBER: _ClassVar[int]
     MASK_FIELD_NUMBER: _ClassVar[int]
     CAMERA_WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    FOUND_READOUT_FIELD_NUMBER: _ClassVar[int]
     id: str
     camera: Camera
     options: SessionOptions
@@ -253,7 +254,16 @@ class Session(_message.Message):
     scale_measurement: ScaleMeasurement
     mask: Mask
     camera_warnings: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, id: _Optional[str] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., state: _Optional[_Union[TrackingState, str]] = ..., n_frames: _Optional[int] = ..., n_keyframes: _Optional[int] = ..., n_points: _Optional[int] = ..., n_lines: _Optional[int] = ..., n_primitives: _Optional[int] = ..., n_submaps: _Optional[int] = ..., durable_sequence: _Optional[int] = ..., next_sequence: _Optional[int] = ..., loaded: bool = ..., has_writer: bool = ..., last_timestamp_ns: _Optional[int] = ..., metres_per_unit: _Optional[float] = ..., refined_camera: _Optional[_Union[Camera, _Mapping]] = ..., damage: _Optional[str] = ..., scale_measurement: _Optional[_Union[ScaleMeasurement, _Mapping]] = ..., mask: _Optional[_Union[Mask, _Mapping]] = ..., camera_warnings: _Optional[_Iterable[str]] = ...) -> None: ...
+    found_readout: Readout
+    def __init__(self, id: _Optional[str] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., state: _Optional[_Union[TrackingState, str]] = ..., n_frames: _Optional[int] = ..., n_keyframes: _Optional[int] = ..., n_points: _Optional[int] = ..., n_lines: _Optional[int] = ..., n_primitives: _Optional[int] = ..., n_submaps: _Optional[int] = ..., durable_sequence: _Optional[int] = ..., next_sequence: _Optional[int] = ..., loaded: bool = ..., has_writer: bool = ..., last_timestamp_ns: _Optional[int] = ..., metres_per_unit: _Optional[float] = ..., refined_camera: _Optional[_Union[Camera, _Mapping]] = ..., damage: _Optional[str] = ..., scale_measurement: _Optional[_Union[ScaleMeasurement, _Mapping]] = ..., mask: _Optional[_Union[Mask, _Mapping]] = ..., camera_warnings: _Optional[_Iterable[str]] = ..., found_readout: _Optional[_Union[Readout, _Mapping]] = ...) -> None: ...
+
+class Readout(_message.Message):
+    __slots__ = ("readout_ms", "sigma_ms")
+    READOUT_MS_FIELD_NUMBER: _ClassVar[int]
+    SIGMA_MS_FIELD_NUMBER: _ClassVar[int]
+    readout_ms: float
+    sigma_ms: float
+    def __init__(self, readout_ms: _Optional[float] = ..., sigma_ms: _Optional[float] = ...) -> None: ...
 
 class Mask(_message.Message):
     __slots__ = ("share", "given")
@@ -620,20 +630,22 @@ class FrameEvent(_message.Message):
     def __init__(self, sequence: _Optional[int] = ..., timestamp_ns: _Optional[int] = ..., state: _Optional[_Union[TrackingState, str]] = ..., reason: _Optional[str] = ..., pose_world_from_camera: _Optional[_Union[Pose, _Mapping]] = ..., scale: _Optional[_Union[ScaleKind, str]] = ..., submap_id: _Optional[int] = ..., is_key_frame: bool = ..., relocalised: bool = ..., corrections: _Optional[_Iterable[_Union[MapCorrection, _Mapping]]] = ...) -> None: ...
 
 class MapCorrection(_message.Message):
-    __slots__ = ("keyframe", "matched_keyframe", "n_matches", "submap_gone", "submap_kept", "camera")
+    __slots__ = ("keyframe", "matched_keyframe", "n_matches", "submap_gone", "submap_kept", "camera", "readout")
     KEYFRAME_FIELD_NUMBER: _ClassVar[int]
     MATCHED_KEYFRAME_FIELD_NUMBER: _ClassVar[int]
     N_MATCHES_FIELD_NUMBER: _ClassVar[int]
     SUBMAP_GONE_FIELD_NUMBER: _ClassVar[int]
     SUBMAP_KEPT_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
+    READOUT_FIELD_NUMBER: _ClassVar[int]
     keyframe: int
     matched_keyframe: int
     n_matches: int
     submap_gone: int
     submap_kept: int
     camera: CameraCorrection
-    def __init__(self, keyframe: _Optional[int] = ..., matched_keyframe: _Optional[int] = ..., n_matches: _Optional[int] = ..., submap_gone: _Optional[int] = ..., submap_kept: _Optional[int] = ..., camera: _Optional[_Union[CameraCorrection, _Mapping]] = ...) -> None: ...
+    readout: Readout
+    def __init__(self, keyframe: _Optional[int] = ..., matched_keyframe: _Optional[int] = ..., n_matches: _Optional[int] = ..., submap_gone: _Optional[int] = ..., submap_kept: _Optional[int] = ..., camera: _Optional[_Union[CameraCorrection, _Mapping]] = ..., readout: _Optional[_Union[Readout, _Mapping]] = ...) -> None: ...
 
 class CameraCorrection(_message.Message):
     __slots__ = ("focal", "centre_x", "centre_y", "adopted")
