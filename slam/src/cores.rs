@@ -1,17 +1,15 @@
 //! The machine's cores, shared fairly among sessions.
 //!
 //! Each session has threads of its own, but only as many of all of them work at a time as there are cores:
-//! who works has a *turn*. Tracking and mapping of a session have an account each: a turn that ends goes to
-//! the account that has had least so far, and among the threads of one account to the one that waits longest.
-//! So tracking, which pauses from frame to frame, mostly comes before mapping, which works on what is left,
-//! and neither starves. Nobody is interrupted, but long work asks now and then whether others should come
-//! first ([`let_others`]), and who waits for another thread gives its turn away meanwhile ([`wait`]). What is
-//! computed does not depend on any of it.
+//! who works has a *turn*. A turn that ends goes to the session that has had least so far, and among the
+//! threads of one session to the one that waits longest. Nobody is interrupted, but long work asks now and
+//! then whether others should come first ([`let_others`]), and who waits for another thread gives its turn
+//! away meanwhile ([`wait`]). What is computed does not depend on any of it.
 //!
 //! Which session a thread works for is known to the thread ([`Cores::join`]) and handed on to those that it
 //! starts ([`Share::of_this_thread`]). Threads of no session work as they please.
 
-use std::cell::{Cell, RefCell};
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -21,16 +19,7 @@ use std::time::Duration;
 /// second, and long beside what changing hands costs.
 const SLICE: Duration = Duration::from_millis(10);
 
-/// What a turn is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Purpose {
-    /// A frame, whose client waits for the answer.
-    Tracking,
-    /// Everything that makes the map better.
-    Mapping,
-}
-
-/// An account that was away keeps as much of its claims: a camera's pause from frame to frame is none.
+/// A session that was away keeps as much of its claims: a camera's pause from frame to frame is none.
 const CREDIT: Duration = Duration::from_millis(100);
 
 /// See the module's documentation. Clones are of the same cores.
@@ -47,16 +36,15 @@ struct State {
     n_free: usize,
     n_turns: u64,
     n_members: u64,
-    /// Of each session by its purposes.
-    accounts: BTreeMap<u64, [Account; 2]>,
+    members: BTreeMap<u64, Member>,
     waiting: Vec<Waiting>,
-    /// What the account whose turn began last had had: who comes anew begins with it, and who comes back with
+    /// What the member whose turn began last had had: who comes anew begins with it, and who comes back with
     /// little less, so that nobody makes up for what it did not want.
     had_last: Duration,
 }
 
-#[derive(Clone, Copy, Default)]
-struct Account {
+#[derive(Default)]
+struct Member {
     /// How long its threads have had turns.
     had: Duration,
     /// Turns that it has or waits for.
@@ -66,15 +54,7 @@ struct Account {
 struct Waiting {
     ticket: u64,
     member: u64,
-    purpose: Purpose,
     called: Arc<Condvar>,
-}
-
-/// The turn that a thread has.
-#[derive(Clone, Copy)]
-struct Turn {
-    began: Duration,
-    purpose: Purpose,
 }
 
 /// A session's share of the cores.
@@ -99,7 +79,8 @@ pub struct Joined {
 
 thread_local! {
     static SHARE: RefCell<Option<Share>> = const { RefCell::new(None) };
-    static TURN: Cell<Option<Turn>> = const { Cell::new(None) };
+    /// When the turn that this thread has began.
+    static BEGAN: RefCell<Option<Duration>> = const { RefCell::new(None) };
 }
 
 impl fmt::Debug for Cores {
@@ -122,7 +103,7 @@ impl Cores {
             let mut state = self.lock();
             state.n_members += 1;
             let (id, had) = (state.n_members, state.had_last);
-            state.accounts.insert(id, [Account { had, n_turns: 0 }; 2]);
+            state.members.insert(id, Member { had, n_turns: 0 });
             id
         };
         let member = Arc::new(Membership { id, cores: self.clone() });
@@ -142,7 +123,7 @@ impl Cores {
 
 impl Drop for Membership {
     fn drop(&mut self) {
-        self.cores.lock().accounts.remove(&self.id);
+        self.cores.lock().members.remove(&self.id);
     }
 }
 
@@ -168,80 +149,79 @@ impl Share {
     }
 
     /// Waits for a turn.
-    fn begin(&self, purpose: Purpose) {
+    fn begin(&self) {
         let mut state = self.cores.lock();
         let (had_last, id) = (state.had_last, self.member.id);
-        let account = &mut state.accounts.entry(id).or_default()[purpose as usize];
-        if account.n_turns == 0 {
-            account.had = account.had.max(had_last.saturating_sub(CREDIT));
+        let member = state.members.entry(id).or_default();
+        if member.n_turns == 0 {
+            member.had = member.had.max(had_last.saturating_sub(CREDIT));
         }
-        account.n_turns += 1;
+        member.n_turns += 1;
         if state.n_free > 0 {
             state.n_free -= 1;
-            state.note_begin(id, purpose);
+            state.note_begin(id);
         } else {
             let (ticket, called) = (state.n_turns, Arc::new(Condvar::new()));
             state.n_turns += 1;
-            state.waiting.push(Waiting { ticket, member: id, purpose, called: called.clone() });
+            state.waiting.push(Waiting { ticket, member: id, called: called.clone() });
             while state.waiting.iter().any(|waiting| waiting.ticket == ticket) {
                 state = called.wait(state).unwrap_or_else(PoisonError::into_inner);
             }
         }
         drop(state);
-        TURN.set(Some(Turn { began: (self.cores.0.now)(), purpose }));
+        BEGAN.set(Some((self.cores.0.now)()));
     }
 
     /// Ends the turn, if this thread has one, and calls who comes next.
     fn end(&self) {
-        let Some(Turn { began, purpose }) = TURN.take() else { return };
+        let Some(began) = BEGAN.take() else { return };
         let now = (self.cores.0.now)();
         let mut state = self.cores.lock();
-        if let Some(accounts) = state.accounts.get_mut(&self.member.id) {
-            let account = &mut accounts[purpose as usize];
-            account.had += now.saturating_sub(began);
-            account.n_turns = account.n_turns.saturating_sub(1);
+        if let Some(member) = state.members.get_mut(&self.member.id) {
+            member.had += now.saturating_sub(began);
+            member.n_turns = member.n_turns.saturating_sub(1);
         }
         match state.next() {
             None => state.n_free += 1,
             Some(index) => {
-                let Waiting { member, purpose, called, .. } = state.waiting.remove(index);
-                state.note_begin(member, purpose);
+                let Waiting { member, called, .. } = state.waiting.remove(index);
+                state.note_begin(member);
                 called.notify_one();
             }
         }
     }
 
-    /// Whether somebody waits who has had no more than this account, the present turn included.
+    /// Whether somebody waits who has had no more than this session, the present turn included.
     fn should_let_others(&self) -> bool {
-        let Some(Turn { began, purpose }) = TURN.get() else { return false };
+        let Some(began) = BEGAN.with(|began| *began.borrow()) else { return false };
         let held = (self.cores.0.now)().saturating_sub(began);
         if held < SLICE {
             return false;
         }
         let state = self.cores.lock();
-        let own = state.had(self.member.id, purpose) + held;
-        state.waiting.iter().any(|waiting| state.had(waiting.member, waiting.purpose) <= own)
+        let own = state.had(self.member.id) + held;
+        state.waiting.iter().any(|waiting| state.had(waiting.member) <= own)
     }
 }
 
 impl State {
-    fn had(&self, member: u64, purpose: Purpose) -> Duration {
-        self.accounts.get(&member).map_or(Duration::ZERO, |accounts| accounts[purpose as usize].had)
+    fn had(&self, member: u64) -> Duration {
+        self.members.get(&member).map_or(Duration::ZERO, |member| member.had)
     }
 
     /// Who waits and comes next.
     fn next(&self) -> Option<usize> {
-        let order = |waiting: &Waiting| (self.had(waiting.member, waiting.purpose), waiting.ticket);
+        let order = |waiting: &Waiting| (self.had(waiting.member), waiting.ticket);
         (0..self.waiting.len()).min_by_key(|index| order(&self.waiting[*index]))
     }
 
-    fn note_begin(&mut self, member: u64, purpose: Purpose) {
-        self.had_last = self.had_last.max(self.had(member, purpose));
+    fn note_begin(&mut self, member: u64) {
+        self.had_last = self.had_last.max(self.had(member));
     }
 }
 
 /// Does work that keeps a core busy, once this thread has a turn; if it has one already, in that.
-pub(crate) fn with_turn<T>(purpose: Purpose, work: impl FnOnce() -> T) -> T {
+pub(crate) fn with_turn<T>(work: impl FnOnce() -> T) -> T {
     /// Also when the work panics.
     struct End(Share);
     impl Drop for End {
@@ -249,8 +229,9 @@ pub(crate) fn with_turn<T>(purpose: Purpose, work: impl FnOnce() -> T) -> T {
             self.0.end();
         }
     }
-    let Some(share) = Share::of_this_thread().filter(|_| TURN.get().is_none()) else { return work() };
-    share.begin(purpose);
+    let has_turn = BEGAN.with(|began| began.borrow().is_some());
+    let Some(share) = Share::of_this_thread().filter(|_| !has_turn) else { return work() };
+    share.begin();
     let _end = End(share);
     work()
 }
@@ -258,21 +239,19 @@ pub(crate) fn with_turn<T>(purpose: Purpose, work: impl FnOnce() -> T) -> T {
 /// Waits for another thread. Meanwhile somebody else has the turn of this one, which it gets back before it
 /// goes on.
 pub(crate) fn wait<T>(waiting: impl FnOnce() -> T) -> T {
-    let (Some(share), Some(Turn { purpose, .. })) = (Share::of_this_thread(), TURN.get()) else {
-        return waiting();
-    };
+    let has_turn = BEGAN.with(|began| began.borrow().is_some());
+    let Some(share) = Share::of_this_thread().filter(|_| has_turn) else { return waiting() };
     share.end();
     let result = waiting();
-    share.begin(purpose);
+    share.begin();
     result
 }
 
 /// Lets those go first who wait and have had less, in the middle of long work.
 pub(crate) fn let_others() {
-    let share = Share::of_this_thread().filter(Share::should_let_others);
-    if let (Some(share), Some(Turn { purpose, .. })) = (share, TURN.get()) {
+    if let Some(share) = Share::of_this_thread().filter(Share::should_let_others) {
         share.end();
-        share.begin(purpose);
+        share.begin();
     }
 }
 
@@ -313,7 +292,7 @@ mod tests {
                 let _joined = share.enter();
                 let mut had = Duration::ZERO;
                 while !stop.load(Ordering::Relaxed) {
-                    had += with_turn(Purpose::Mapping, || {
+                    had += with_turn(|| {
                         let begun = Instant::now();
                         work();
                         begun.elapsed()
@@ -347,11 +326,11 @@ mod tests {
             std::thread::spawn(move || {
                 let _joined = cores.join();
                 for _ in 0..20 {
-                    with_turn(Purpose::Mapping, || {
+                    with_turn(|| {
                         most.fetch_max(busy.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
                         work();
                         // Nobody else may take the place of one who waits for itself.
-                        with_turn(Purpose::Mapping, work);
+                        with_turn(work);
                         busy.fetch_sub(1, Ordering::SeqCst);
                         wait(|| std::thread::sleep(Duration::from_millis(1)));
                         busy.fetch_add(1, Ordering::SeqCst);
@@ -363,7 +342,7 @@ mod tests {
         let threads: Vec<_> = (0..8).map(run).collect();
         threads.into_iter().for_each(|thread| thread.join().unwrap());
         assert_eq!(most.load(Ordering::SeqCst), 2);
-        assert!(cores.lock().accounts.is_empty(), "all have left");
+        assert!(cores.lock().members.is_empty(), "all have left");
     }
 
     #[test]
@@ -376,13 +355,13 @@ mod tests {
             std::thread::spawn(move || {
                 let _joined = cores.join();
                 while n_done.load(Ordering::SeqCst) < 3 {
-                    with_turn(Purpose::Mapping, work);
+                    with_turn(work);
                     n_done.fetch_add(1, Ordering::SeqCst);
                 }
             })
         };
         let begun = Instant::now();
-        with_turn(Purpose::Mapping, || {
+        with_turn(|| {
             while n_done.load(Ordering::SeqCst) < 3 && begun.elapsed() < Duration::from_secs(20) {
                 work();
                 let_others();
@@ -390,9 +369,9 @@ mod tests {
         });
         assert!(n_done.load(Ordering::SeqCst) >= 3, "the other session starved");
         other.join().unwrap();
-        let panicked = std::panic::catch_unwind(|| with_turn(Purpose::Mapping, || panic!("in the middle")));
+        let panicked = std::panic::catch_unwind(|| with_turn(|| panic!("in the middle")));
         assert!(panicked.is_err() && cores.lock().n_free == 1);
-        with_turn(Purpose::Mapping, work);
+        with_turn(work);
     }
 
     #[test]
@@ -404,33 +383,12 @@ mod tests {
         });
         let _first = cores.join();
         for _ in 0..3 {
-            with_turn(Purpose::Mapping, || now.fetch_add(10, Ordering::SeqCst));
+            with_turn(|| now.fetch_add(10, Ordering::SeqCst));
         }
         let first = Share::of_this_thread().unwrap();
         let _second = cores.join();
         let second = Share::of_this_thread().unwrap();
-        let had = |share: &Share| cores.lock().had(share.member.id, Purpose::Mapping).as_secs();
+        let had = |share: &Share| cores.lock().had(share.member.id).as_secs();
         assert_eq!((had(&first), had(&second)), (30, 20), "as what was had when a turn began last");
-    }
-
-    #[test]
-    fn a_frame_comes_before_mapping_that_has_had_more_and_mapping_does_not_starve() {
-        let cores = cores(1);
-        let stop = Arc::new(AtomicBool::new(false));
-        let mapping = session(&cores, 3, &stop);
-        let _joined = cores.join();
-        let mut waited = Vec::new();
-        for _ in 0..20 {
-            // From frame to frame.
-            std::thread::sleep(Duration::from_millis(20));
-            let called = Instant::now();
-            with_turn(Purpose::Tracking, || waited.push(called.elapsed()));
-        }
-        stop.store(true, Ordering::Relaxed);
-        let had: Duration = mapping.into_iter().map(|one| one.join().unwrap()).sum();
-        waited.sort();
-        // Its turn comes when that of one of the three ends, which takes 4 ms; not when each has had one.
-        assert!(waited[10] < Duration::from_millis(9), "{waited:?}");
-        assert!(had > Duration::from_millis(200), "{had:?}");
     }
 }

@@ -5,7 +5,7 @@ mod lifecycle;
 use crate::backfill::Backfill;
 use crate::clock::{Clock, Stopwatch};
 use crate::config::SlamConfig;
-use crate::cores::{self, Purpose};
+use crate::cores;
 use crate::features::View;
 use crate::frame_result::FrameResult;
 use crate::front_end::FrontEnd;
@@ -69,7 +69,7 @@ impl Pipeline {
         self.choose_resolution(&frame.image);
         self.last_frame = Some((frame.sequence, frame.timestamp_ns));
         let mut stopwatch = Stopwatch::start(self.clock.clone());
-        Ok(cores::with_turn(Purpose::Tracking, || {
+        Ok(cores::with_turn(|| {
             stopwatch.lap("wait_for_core");
             self.process(frame, stopwatch)
         }))

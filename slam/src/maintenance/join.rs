@@ -6,7 +6,7 @@
 
 use super::optimize::adjust_submaps;
 use crate::config::SlamConfig;
-use crate::cores::{self, Purpose};
+use crate::cores;
 use crate::loops::{LoopCloser, Recognition};
 use crate::map::{
     FramePose, FrameRecord, FrameState, Imported, KeyframeId, Map, MapError, MapParts, MapUpdate, SubmapId,
@@ -93,7 +93,7 @@ pub fn merge(
     recordings: Recordings,
     work: &Work,
 ) -> Result<Option<Merged>, MapError> {
-    cores::with_turn(Purpose::Mapping, || merge_in_turn(config, (into, from), recordings, work))
+    cores::with_turn(|| merge_in_turn(config, (into, from), recordings, work))
 }
 
 fn merge_in_turn(

@@ -2,7 +2,7 @@
 
 use crate::bundle::global::{Costs, adjust_watched};
 use crate::config::SlamConfig;
-use crate::cores::{self, Purpose};
+use crate::cores;
 use crate::map::{Map, MapError, MapParts, MapUpdate, SubmapId};
 use crate::work::{Stretch, Work};
 use std::sync::Arc;
@@ -24,7 +24,7 @@ pub struct Optimized {
 /// # Errors
 /// If the map is inconsistent.
 pub fn optimize(config: &SlamConfig, map: MapParts, work: &Work) -> Result<Option<Optimized>, MapError> {
-    cores::with_turn(Purpose::Mapping, || optimize_in_turn(config, map, work))
+    cores::with_turn(|| optimize_in_turn(config, map, work))
 }
 
 fn optimize_in_turn(config: &SlamConfig, map: MapParts, work: &Work) -> Result<Option<Optimized>, MapError> {

@@ -4,7 +4,7 @@ use super::intrinsics::{IntrinsicsCheck, Look, Memory};
 use super::readout::ReadoutLook;
 use crate::bundle::global::{GlobalResult, adjust};
 use crate::config::{SlamConfig, Threading};
-use crate::cores::{self, Purpose, Share};
+use crate::cores::{self, Share};
 use crate::map::{Map, SubmapId};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -65,7 +65,7 @@ impl GlobalStage {
         let share = Share::of_this_thread();
         let run = move || {
             let _joined = share.map(Share::enter);
-            cores::with_turn(Purpose::Mapping, || task.run(&snapshot, submap, &config, &aborted))
+            cores::with_turn(|| task.run(&snapshot, submap, &config, &aborted))
         };
         // Without a thread the map stays as good as the essential graph has made it.
         let spawned = std::thread::Builder::new().name("slam-global-ba".into()).spawn(run);

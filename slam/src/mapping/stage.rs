@@ -3,7 +3,7 @@
 //! Either way requests are carried out in order, and tracking sees the result as immutable snapshots.
 
 use super::{InitialMap, Mapper, NewKeyframe};
-use crate::cores::{self, Purpose, Share};
+use crate::cores::{self, Share};
 use crate::map::{FrameRecord, Map, MapUpdate, SubmapId};
 use crate::report::{LineJudgement, MapEvent};
 use std::collections::VecDeque;
@@ -207,7 +207,7 @@ impl Worker {
             match request {
                 // Nothing to work on, and somebody waits.
                 Request::Barrier(_) => shared.carry_out(mapper, request, abort),
-                request => cores::with_turn(Purpose::Mapping, || shared.carry_out(mapper, request, abort)),
+                request => cores::with_turn(|| shared.carry_out(mapper, request, abort)),
             }
             self.n_pending.fetch_sub(1, Ordering::AcqRel);
         }

@@ -4,7 +4,7 @@ use super::Pipeline;
 use crate::backfill::Backfill;
 use crate::clock::Clock;
 use crate::config::{ConfigError, SlamConfig, Threading};
-use crate::cores::{self, Purpose};
+use crate::cores;
 use crate::front_end::{CameraState, FrontEnd};
 use crate::initialization::Initializer;
 use crate::input::{ResumeError, ResumeState, SceneMask};
@@ -131,7 +131,7 @@ impl Pipeline {
         self.mapping.settle();
         self.sync_map();
         while !self.backfill.is_done(&self.map) {
-            let placed = cores::with_turn(Purpose::Mapping, || self.backfill.step(&self.map, true));
+            let placed = cores::with_turn(|| self.backfill.step(&self.map, true));
             self.trajectory.backfill(placed);
         }
         self.flush_records();
