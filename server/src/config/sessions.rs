@@ -41,9 +41,10 @@ pub struct SessionConfig {
     pub idle_stream_s: f64,
     /// Operations that run at the same time. Default 1: each takes every core for parts of its time.
     pub n_operations: usize,
-    /// Cores that tracking, mapping and adjusting maps keep busy at the same time, of all sessions together,
-    /// which share them alike; decoding, the network and single images go beside. Default as many as the
-    /// machine has: with more, sessions would only take them from each other.
+    /// Threads that track, map and adjust maps at the same time, of all sessions together, which share them
+    /// alike; decoding, the network and single images go beside. Default twice as many as the machine has
+    /// cores: who has a turn is not interrupted for tens of milliseconds, and with no more turns than cores
+    /// frames wait for the mapping of other sessions, where the system lets them go between.
     pub n_cores: Option<usize>,
     /// Memory for what maps look like, to find the one that an image shows, MiB. Default 256: some 200 maps
     /// of 150 keyframes; with less, maps are read again for each image.
@@ -86,9 +87,9 @@ impl SessionConfig {
         Duration::from_secs_f64(self.idle_stream_s)
     }
 
-    /// [`Self::n_cores`], or as many as the machine has.
+    /// [`Self::n_cores`], or twice as many as the machine has.
     pub fn n_cores(&self) -> usize {
-        self.n_cores.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
+        self.n_cores.unwrap_or_else(|| 2 * std::thread::available_parallelism().map_or(1, usize::from))
     }
 
     /// [`Self::save_retry_s`] as a span of time.

@@ -18,6 +18,8 @@ export interface Session {
   n_primitives: number;
   n_submaps: number;
   durable_sequence: number | null;
+  /** How long the camera takes to read the rows of an image, where the session has found that. */
+  found_readout?: { readout_ms: number; sigma_ms: number } | null;
   loaded: boolean;
   has_writer: boolean;
 }

@@ -51,6 +51,10 @@ export class Statistics {
       ['Scale', session.metres_per_unit === null ? 'free (map units)' : `${Number(session.metres_per_unit.toPrecision(4))} m a unit`],
       ['Saved up to frame', session.durable_sequence === null ? 'none' : String(session.durable_sequence)],
     ];
+    if (session.found_readout) {
+      const { readout_ms, sigma_ms } = session.found_readout;
+      entries.push(['Rolling shutter', `${readout_ms.toFixed(1)} ± ${sigma_ms.toFixed(1)} ms`]);
+    }
     if (live) {
       entries.splice(
         2,
