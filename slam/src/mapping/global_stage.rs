@@ -21,22 +21,29 @@ pub(super) enum Task {
     /// Poses, landmarks and primitives of a submap are adjusted.
     AdjustMap,
     /// The camera is looked at, and the submap adjusted to it if it turns out to be another than was thought.
-    CheckIntrinsics { before: Memory, readout: Option<ReadoutLook> },
+    CheckIntrinsics(Box<Check>),
+}
+
+/// What is known when the camera is looked at.
+pub(super) struct Check {
+    pub before: Memory,
+    pub readout: Option<ReadoutLook>,
 }
 
 /// What came of it.
 pub(super) enum Done {
     Adjusted(GlobalResult),
-    CheckedIntrinsics(IntrinsicsCheck),
+    CheckedIntrinsics(Box<IntrinsicsCheck>),
 }
 
 impl Task {
     fn run(self, map: &Map, submap: SubmapId, config: &SlamConfig, abort: &AtomicBool) -> Option<Done> {
         match self {
             Self::AdjustMap => adjust(map, submap, config, abort).map(Done::Adjusted),
-            Self::CheckIntrinsics { before, readout } => {
+            Self::CheckIntrinsics(check) => {
+                let Check { before, readout } = *check;
                 let look = Look { map, submap, config, abort };
-                look.check(before, readout.as_ref()).map(Done::CheckedIntrinsics)
+                look.check(before, readout.as_ref()).map(|check| Done::CheckedIntrinsics(Box::new(check)))
             }
         }
     }
@@ -60,7 +67,7 @@ impl GlobalStage {
         if self.threading == Threading::Inline {
             return task.run(map, submap, config, &abort);
         }
-        let is_check = matches!(task, Task::CheckIntrinsics { .. });
+        let is_check = matches!(task, Task::CheckIntrinsics(_));
         let (snapshot, config, aborted) = (map.clone(), config.clone(), abort.clone());
         let share = Share::of_this_thread();
         let run = move || {

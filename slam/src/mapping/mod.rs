@@ -20,7 +20,7 @@ use crate::map::{
 use crate::report::{LineJudgement, MapEvent};
 use geometry::nalgebra::Vector3;
 use geometry::{Camera, CameraCorrection};
-use global_stage::{Done, GlobalStage, Task};
+use global_stage::{Check, Done, GlobalStage, Task};
 use intrinsics::IntrinsicsMonitor;
 use lines::LineMapper;
 use primitives::PrimitiveMapper;
@@ -241,7 +241,7 @@ impl Mapper {
         let Some(camera) = self.camera.as_mut().filter(|_| self.global.is_idle()) else { return };
         let Some(submap) = camera.is_due(&self.map, share, &self.config.calibration) else { return };
         let readout = self.readout.as_ref().and_then(|readout| readout.look(&self.map, submap));
-        let task = Task::CheckIntrinsics { before: camera.memory(), readout };
+        let task = Task::CheckIntrinsics(Box::new(Check { before: camera.memory(), readout }));
         let done = self.global.start(task, &self.map, submap, &self.config);
         self.take_over(done);
     }
@@ -291,6 +291,7 @@ impl Mapper {
             None => None,
             Some(Done::Adjusted(result)) => Some(result),
             Some(Done::CheckedIntrinsics(check)) => {
+                let check = *check;
                 let event = self.camera.as_mut().and_then(|camera| camera.note(&check));
                 match event {
                     Some(MapEvent::CalibrationContradicted { .. }) => self.map.set_contradicted(true),
