@@ -64,6 +64,8 @@ fn connect_options(url: &str, options: &StoreOptions) -> Result<PgConnectOptions
     }
     let timeout = options.statement_timeout.as_millis().to_string();
     parsed = parsed.options([("statement_timeout", timeout.as_str()), ("lock_timeout", timeout.as_str())]);
+    // That a table is there already is no news.
+    parsed = parsed.options([("client_min_messages", "warning")]);
     if options.durability == Durability::ProcessEnd {
         parsed = parsed.options([("synchronous_commit", "off")]);
     }
