@@ -63,7 +63,8 @@ impl WriteTransaction {
     /// A session with its number, in a transaction that is going to write it: who else would waits for its
     /// end.
     ///
-    /// # Errors [`StoreError::SessionNotFound`], and [`StoreError::OwnedElsewhere`] or
+    /// # Errors
+    /// [`StoreError::SessionNotFound`], and [`StoreError::OwnedElsewhere`] or
     /// [`StoreError::LeaseLost`] if another server works with it.
     pub async fn hold(&mut self, id: &str) -> Result<(i64, SessionRecord), StoreError> {
         let sql = self.either(

@@ -98,7 +98,8 @@ impl WriteTransaction {
 
     /// Makes what was written durable.
     ///
-    /// # Errors [`StoreError::Gone`] if it was written into a file that is no longer there. If PostgreSQL was
+    /// # Errors
+    /// [`StoreError::Gone`] if it was written into a file that is no longer there. If PostgreSQL was
     /// lost meanwhile nobody knows whether it was written: do it again.
     pub async fn commit(mut self) -> Result<(), StoreError> {
         self.connection.command("COMMIT").await?;

@@ -39,6 +39,9 @@ impl MultiRow<'_> {
             Connection::Sqlite(held) => {
                 let mut rest = items;
                 for size in CHUNK_SIZES {
+                    if rest.len() < size {
+                        continue;
+                    }
                     let sql = self.for_sqlite(n_columns, size);
                     while rest.len() >= size {
                         let (chunk, after) = rest.split_at(size);

@@ -56,7 +56,8 @@ impl Store {
     /// of keyframes that are no longer in the map are left out. After an error the database is as it was and
     /// the same update, alone or merged with later ones, can be tried again.
     ///
-    /// # Errors [`StoreError::DiskFull`], [`StoreError::Io`], [`StoreError::Busy`] and
+    /// # Errors
+    /// [`StoreError::DiskFull`], [`StoreError::Io`], [`StoreError::Busy`] and
     /// [`StoreError::Unreachable`] may pass; the others will not. After [`StoreError::Gone`] the update is in
     /// a file that nobody will find again.
     pub async fn save_update(

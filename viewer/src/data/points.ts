@@ -1,4 +1,4 @@
-/** The points of a map in columns: a million of them take some 40 MB, where an object each would take ten times that. */
+/** The points of a map in columns: 34 bytes each and an entry of a map, where there would be two objects. */
 
 export interface PointRow {
   id: number;

@@ -2,8 +2,8 @@
 //! other.
 
 use super::calibrated_reprojection::{CalibratedReprojectionFactor, CorrectionVector};
-use geometry::nalgebra::{Matrix6, SMatrix, SVector, Vector2, Vector3, Vector6};
-use geometry::{Pose, so3};
+use geometry::Pose;
+use geometry::nalgebra::{SMatrix, SVector, Vector2, Vector3, Vector6};
 use optim::{Factor, Linearized};
 
 /// The members of a [`CameraCorrection`](geometry::CameraCorrection) in their order, then the readout,
@@ -58,18 +58,8 @@ impl Factor for RolledReprojectionFactor {
         let mut by_camera = SMatrix::<f64, 2, 6>::zeros();
         by_camera.fixed_view_mut::<2, 5>(0, 0).copy_from(&by_correction);
         by_camera.set_column(5, &(by_pose_at_row * self.motion));
-        Some((residual, (by_pose_at_row * adjoint(&row_from_middle), by_camera, by_point)))
+        Some((residual, (by_pose_at_row * row_from_middle.adjoint(), by_camera, by_point)))
     }
-}
-
-/// What a perturbation on the left of a pose is on the left of `motion` times the pose.
-fn adjoint(motion: &Pose) -> Matrix6<f64> {
-    let rotation = motion.rotation_matrix();
-    let mut adjoint = Matrix6::zeros();
-    adjoint.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-    adjoint.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
-    adjoint.fixed_view_mut::<3, 3>(3, 0).copy_from(&(so3::skew(&motion.translation) * rotation));
-    adjoint
 }
 
 /// What was known of the camera before, member by member: `r(c) = (c − m) / σ`.
