@@ -100,6 +100,41 @@ fn no_update_is_lost_when_the_disk_fails_for_a_while() {
     check(true);
 }
 
+/// Updates are joined for as long as nobody waits for them, which here is for ever.
+#[test]
+fn whoever_waits_for_the_disk_is_not_kept_waiting_for_updates_to_join() {
+    shuttle::check_random(
+        || {
+            let (updates, disk) = (updates(false), Arc::new(Mutex::new(Vec::new())));
+            let writer = {
+                let (updates, disk) = (updates.clone(), disk.clone());
+                thread::spawn(move || {
+                    block_on(async {
+                        while let Some(taken) = updates.next().await {
+                            updates.saved();
+                            disk.lock().unwrap().extend(taken.update.0);
+                            updates.hurried().await;
+                        }
+                    });
+                })
+            };
+            for frame in 0..4 {
+                updates.push(Frames(vec![frame]));
+            }
+            updates.hurry();
+            // Ends only if the writer saves all of it without anything further.
+            while disk.lock().unwrap().len() < 4 {
+                thread::yield_now();
+            }
+            updates.push(Frames(vec![4]));
+            updates.close();
+            writer.join().unwrap();
+            assert_eq!(*disk.lock().unwrap(), [0, 1, 2, 3, 4]);
+        },
+        N_ORDERS,
+    );
+}
+
 #[test]
 fn nobody_waits_for_a_writer_that_has_ended() {
     shuttle::check_random(

@@ -209,6 +209,7 @@ impl Config {
         let spans = [
             ("shutdown_grace_s", self.shutdown_grace_s),
             ("sessions.idle_unload_s", self.sessions.idle_unload_s),
+            ("sessions.save_interval_s", self.sessions.save_interval_s),
             ("sessions.save_retry_s", self.sessions.save_retry_s),
             ("sessions.realtime_max_wait_s", self.sessions.realtime_max_wait_s),
             ("sessions.idle_stream_s", self.sessions.idle_stream_s),

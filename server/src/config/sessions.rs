@@ -19,6 +19,10 @@ pub struct SessionConfig {
     pub realtime_max_wait_s: f64,
     /// Keep the images of keyframes, as they were sent (raw ones as PNG). Default true.
     pub keep_keyframe_images: bool,
+    /// Seconds from the beginning of one transaction of a session to that of the next, at least. Default 0.5:
+    /// most landmarks of a keyframe move again with the next, and are written once for both. What is answered
+    /// as durable is so much later at most; the end of a stream waits for nothing.
+    pub save_interval_s: f64,
     /// Seconds between attempts to save after one failed, as when the disk is full. Default 1.
     pub save_retry_s: f64,
     /// Single images located at the same time; further ones wait their turn. Default 1: each takes a core and
@@ -62,6 +66,7 @@ impl Default for SessionConfig {
             realtime_queue_frames: 2,
             realtime_max_wait_s: 0.5,
             keep_keyframe_images: true,
+            save_interval_s: 0.5,
             save_retry_s: 1.0,
             n_localizations: 1,
             localize_timeout_s: 10.0,
@@ -90,10 +95,5 @@ impl SessionConfig {
     /// [`Self::n_cores`], or twice as many as the machine has.
     pub fn n_cores(&self) -> usize {
         self.n_cores.unwrap_or_else(|| 2 * std::thread::available_parallelism().map_or(1, usize::from))
-    }
-
-    /// [`Self::save_retry_s`] as a span of time.
-    pub fn save_retry(&self) -> Duration {
-        Duration::from_secs_f64(self.save_retry_s)
     }
 }

@@ -336,8 +336,7 @@ impl Registry {
         let (outbox, saving) = writer::start(
             context.sink(stored.last_state, events.clone()),
             last_frame.map(|(sequence, _)| sequence),
-            stored.deterministic,
-            self.config.get().sessions.save_retry(),
+            writer::Pace::of(&self.config.get().sessions, stored.deterministic),
         );
         let (history, ahead_ns) = (context.history(), stored.ahead_ns);
         let persistence = Persistence { outbox, history, last_frame, ahead_ns };

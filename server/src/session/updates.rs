@@ -46,6 +46,8 @@ struct State<U> {
     n_pushed: u64,
     /// The last attempt to save failed.
     is_failing: bool,
+    /// Someone waits for what was handed over to be saved.
+    is_hurried: bool,
     /// Nothing more is handed over.
     is_closed: bool,
     /// Nothing more is saved.
@@ -78,6 +80,7 @@ impl<U: Update> Updates<U> {
             ballast_bytes: 0,
             n_pushed: 0,
             is_failing: false,
+            is_hurried: false,
             is_closed: false,
             has_ended: false,
         };
@@ -147,7 +150,20 @@ impl<U: Update> Updates<U> {
 
     /// Asks the writer for an attempt now.
     pub fn hurry(&self) {
+        self.lock().is_hurried = true;
         self.wake.notify_one();
+    }
+
+    /// Waits until someone waits for what was handed over, or nothing more is.
+    pub async fn hurried(&self) {
+        while !self.is_hurried() {
+            self.woken().await;
+        }
+    }
+
+    fn is_hurried(&self) -> bool {
+        let state = self.lock();
+        state.is_hurried || state.is_closed
     }
 
     /// Says that the last update taken was saved.
@@ -185,6 +201,7 @@ impl<U: Update> Updates<U> {
             return if state.is_closed { Next::End } else { Next::Wait };
         };
         state.ballast_bytes -= update.ballast_bytes();
+        state.is_hurried &= !state.waiting.is_empty();
         self.room.notify_all();
         Next::Save(Taken { update, last_number, is_last_attempt: state.is_closed })
     }

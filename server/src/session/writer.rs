@@ -1,13 +1,15 @@
 //! Saves a session's map updates, one transaction each, beside tracking.
 //!
-//! Tracking hands an update over under a short lock and goes on. While a transaction runs, updates that
-//! follow are merged into one, so a slow disk makes transactions larger, never the queue longer. A
-//! deterministic session is saved update by update, so that what its database holds does not depend on time;
-//! it waits for the disk instead.
+//! Tracking hands an update over under a short lock and goes on. Updates that follow within half a second, or
+//! while a transaction runs, are merged into one: most landmarks of a keyframe move again with the next, and
+//! a slow disk makes transactions larger, never the queue longer. Whoever waits for the disk is not kept
+//! waiting. A deterministic session is saved update by update, so that what its database holds does not
+//! depend on time; it waits for the disk instead.
 
 use super::frame::SentImage;
 use super::images::to_file;
 use super::updates::{Bounds, Update, Updates};
+use crate::config::SessionConfig;
 use crate::error::ApiError;
 use slam::MapUpdate;
 use slam::map::KeyframeId;
@@ -75,19 +77,43 @@ impl Update for Batch {
     }
 }
 
+/// When updates are saved.
+#[derive(Clone, Copy, Debug)]
+pub struct Pace {
+    /// Each in a transaction of its own, and at once.
+    pub one_by_one: bool,
+    /// Least time from the beginning of one transaction to that of the next.
+    pub interval: Duration,
+    /// Time to the next attempt after one failed.
+    pub retry_after: Duration,
+}
+
+impl Pace {
+    /// As configured; a deterministic session is saved one by one.
+    pub fn of(config: &SessionConfig, is_deterministic: bool) -> Self {
+        Self {
+            one_by_one: is_deterministic,
+            interval: Duration::from_secs_f64(config.save_interval_s),
+            retry_after: Duration::from_secs_f64(config.save_retry_s),
+        }
+    }
+}
+
 /// Starts the task that saves. It ends when the [`Outbox`] was closed and everything is saved or was tried
 /// once more.
 pub fn start(
     sink: impl Sink,
     durable_sequence: Option<u64>,
-    one_by_one: bool,
-    retry_after: Duration,
+    pace: Pace,
 ) -> (Outbox, tokio::task::JoinHandle<()>) {
-    let bounds =
-        Bounds { one_by_one, max_ahead: MAX_UPDATES_AHEAD, max_ballast_bytes: MAX_WAITING_IMAGE_BYTES };
+    let bounds = Bounds {
+        one_by_one: pace.one_by_one,
+        max_ahead: MAX_UPDATES_AHEAD,
+        max_ballast_bytes: MAX_WAITING_IMAGE_BYTES,
+    };
     let updates = Arc::new(Updates::new(bounds));
     let (saved, saved_receiver) = watch::channel(Saved { durable_sequence, ..Saved::default() });
-    let task = tokio::spawn(save_all(EndOnDrop(updates.clone()), sink, saved, retry_after));
+    let task = tokio::spawn(save_all(EndOnDrop(updates.clone()), sink, saved, pace));
     (Outbox { updates, saved: saved_receiver }, task)
 }
 
@@ -169,9 +195,10 @@ impl Drop for EndOnDrop {
     }
 }
 
-async fn save_all(updates: EndOnDrop, sink: impl Sink, saved: watch::Sender<Saved>, retry_after: Duration) {
+async fn save_all(updates: EndOnDrop, sink: impl Sink, saved: watch::Sender<Saved>, pace: Pace) {
     let EndOnDrop(updates) = &updates;
     while let Some(batch) = updates.next().await {
+        let began = tokio::time::Instant::now();
         match save(&sink, &batch.update).await {
             Ok(()) => {
                 updates.saved();
@@ -182,6 +209,9 @@ async fn save_all(updates: EndOnDrop, sink: impl Sink, saved: watch::Sender<Save
                     saved.n_attempts += 1;
                     saved.failure = None;
                 });
+                if !pace.one_by_one {
+                    let _ = tokio::time::timeout_at(began + pace.interval, updates.hurried()).await;
+                }
             }
             Err(error) => {
                 let is_last_attempt = batch.is_last_attempt;
@@ -196,7 +226,7 @@ async fn save_all(updates: EndOnDrop, sink: impl Sink, saved: watch::Sender<Save
                 if is_last_attempt {
                     return;
                 }
-                let _ = tokio::time::timeout(retry_after, updates.woken()).await;
+                let _ = tokio::time::timeout(pace.retry_after, updates.woken()).await;
             }
         }
     }
@@ -262,13 +292,19 @@ mod tests {
         MapUpdate { map: Arc::new(Map::default()), changes: MapChanges::default(), frames: vec![frame] }
     }
 
-    const RETRY: Duration = Duration::from_millis(10);
+    /// Too long for any test to wait for a second transaction: what is to be saved has to be hurried.
+    const JOINED: Pace = Pace {
+        one_by_one: false,
+        interval: Duration::from_secs(3600),
+        retry_after: Duration::from_millis(10),
+    };
+    const ONE_BY_ONE: Pace = Pace { one_by_one: true, ..JOINED };
 
     #[tokio::test]
     async fn updates_that_come_during_a_transaction_become_one() {
         let sink = FakeSink::default();
         sink.0.slow.store(true, Ordering::SeqCst);
-        let (outbox, _task) = start(sink.clone(), None, false, RETRY);
+        let (outbox, _task) = start(sink.clone(), None, JOINED);
         outbox.push(update(0), Vec::new());
         tokio::time::sleep(Duration::from_millis(20)).await;
         (1..5).for_each(|sequence| outbox.push(update(sequence), Vec::new()));
@@ -279,10 +315,26 @@ mod tests {
         assert_eq!(outbox.durable_sequence(), Some(4));
     }
 
+    #[tokio::test(start_paused = true)]
+    async fn updates_of_half_a_second_become_one() {
+        let sink = FakeSink::default();
+        let pace = Pace { interval: Duration::from_millis(500), ..JOINED };
+        let (outbox, _task) = start(sink.clone(), None, pace);
+        for sequence in 0..12 {
+            outbox.push(update(sequence), Vec::new());
+            tokio::time::sleep(Duration::from_millis(90)).await;
+        }
+        assert_eq!(
+            *sink.0.transactions.lock().unwrap(),
+            [vec![0], vec![1, 2, 3, 4, 5], vec![6, 7, 8, 9, 10, 11]]
+        );
+        assert_eq!(outbox.durable_sequence(), Some(11));
+    }
+
     #[tokio::test]
     async fn a_deterministic_session_is_saved_update_by_update() {
         let sink = FakeSink::default();
-        let (outbox, _task) = start(sink.clone(), None, true, RETRY);
+        let (outbox, _task) = start(sink.clone(), None, ONE_BY_ONE);
         (0..5).for_each(|sequence| outbox.push(update(sequence), Vec::new()));
         outbox.flush().await.unwrap();
         assert_eq!(*sink.0.transactions.lock().unwrap(), [[0], [1], [2], [3], [4]]);
@@ -292,7 +344,7 @@ mod tests {
     async fn nothing_is_lost_while_the_disk_is_full() {
         let sink = FakeSink::default();
         sink.0.full.store(true, Ordering::SeqCst);
-        let (outbox, task) = start(sink.clone(), Some(6), false, RETRY);
+        let (outbox, task) = start(sink.clone(), Some(6), JOINED);
         outbox.push(update(7), Vec::new());
         let error = outbox.flush().await.unwrap_err();
         assert_eq!(error.code, ErrorCode::StorageFull);
@@ -317,7 +369,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_deterministic_session_does_not_wait_for_a_writer_that_is_dead() {
-        let (outbox, task) = start(Broken, None, true, RETRY);
+        let (outbox, task) = start(Broken, None, ONE_BY_ONE);
         let push_all = move || {
             (0..2 * MAX_UPDATES_AHEAD as u64).for_each(|sequence| outbox.push(update(sequence), Vec::new()));
             outbox
@@ -333,7 +385,7 @@ mod tests {
     #[tokio::test]
     async fn a_writer_ends_when_its_outbox_is_dropped() {
         let sink = FakeSink::default();
-        let (outbox, task) = start(sink.clone(), None, false, RETRY);
+        let (outbox, task) = start(sink.clone(), None, JOINED);
         outbox.push(update(0), Vec::new());
         drop(outbox);
         tokio::time::timeout(Duration::from_secs(5), task).await.expect("it goes on").unwrap();
