@@ -64,7 +64,7 @@ impl Pipeline {
         state: JoinState,
     ) -> Result<Self, ResumeError> {
         let is_added = map_camera.id != CameraId::default();
-        let config = SlamConfig { enlarge_for_border: config.enlarge_for_border && !is_added, ..config };
+        let config = if is_added { config.of_added_camera() } else { config };
         config.validate()?;
         let mapping = map.core.stage_of(map_camera.id);
         let map = mapping.newest_map();
