@@ -178,7 +178,7 @@ impl Service {
         let created_at_ns = crate::clock::since_1970_ns();
         let (id_text, options) = (id.as_str().to_owned(), options.into());
         let camera = camera.parameters().clone();
-        let new = store::NewSession { id: id_text, camera, options, created_at_ns, mask };
+        let new = store::NewSession { id: id_text, camera, options, created_at_ns, mask, map: None };
         let record = self.store.create_session(&new).await?;
         *n_sessions += 1;
         access::record(caller, Change::Created, &id);

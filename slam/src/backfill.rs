@@ -8,7 +8,7 @@
 
 use crate::config::{InitializationConfig, SlamConfig};
 use crate::features::View;
-use crate::map::{FramePose, FrameRecord, FrameState, Map, median_depth};
+use crate::map::{FramePose, FrameRecord, FrameState, Keyframe, Map, MapCamera, median_depth};
 use crate::report::TrackingOutcome;
 use crate::rolling_shutter::RollingShutter;
 use crate::tracking::Tracker;
@@ -23,6 +23,8 @@ const MAX_FAILURES: usize = 5;
 /// Frames that may still get a pose, or a better one.
 pub(crate) struct Backfill {
     config: SlamConfig,
+    /// Whose frames they are.
+    camera: MapCamera,
     rolling_shutter: Option<RollingShutter>,
     /// Frames since the camera was last followed, oldest first.
     waiting: VecDeque<Waiting>,
@@ -88,9 +90,10 @@ struct Gap {
 }
 
 impl Backfill {
-    pub fn new(config: SlamConfig, rolling_shutter: Option<RollingShutter>) -> Self {
+    pub fn new(config: SlamConfig, camera: MapCamera, rolling_shutter: Option<RollingShutter>) -> Self {
         Self {
             config,
+            camera,
             rolling_shutter,
             waiting: VecDeque::new(),
             start: None,
@@ -194,7 +197,7 @@ impl Backfill {
         let way = self.way.as_mut()?;
         let next = if way.n_failures < MAX_FAILURES { way.views.pop() } else { None };
         match next {
-            Some(waiting) => way.visit(waiting, map),
+            Some(waiting) => way.visit(waiting, self.camera, map),
             None => {
                 self.end_way();
                 None
@@ -283,15 +286,17 @@ impl Way {
     }
 
     /// Tries to place a frame next to the one reached last.
-    fn visit(&mut self, waiting: Waiting, map: &Map) -> Option<FrameRecord> {
+    fn visit(&mut self, waiting: Waiting, camera: MapCamera, map: &Map) -> Option<FrameRecord> {
         let Waiting { mut view, n_inliers } = waiting;
-        view.correct_camera(&map.correction());
+        view.correct_camera(&map.correction_of(camera));
         match self.tracker.last_frame() {
             Some(_) => self.tracker.sync_map(map),
             None => self.tracker.start(self.reached.now(map)?, map),
         }
         // What bundle adjustment says of a keyframe is better than any pose found from one frame.
-        if let Some(keyframe) = map.keyframes().find(|keyframe| keyframe.sequence == view.sequence)
+        let is_kept =
+            |keyframe: &&Keyframe| keyframe.sequence == view.sequence && keyframe.camera.id == camera.id;
+        if let Some(keyframe) = map.keyframes().find(is_kept)
             && keyframe.submap == self.reached.frame.submap
         {
             let frame = TrackedFrame::of_keyframe(keyframe);
@@ -316,6 +321,7 @@ impl Way {
         self.reached = anchor;
         let n_required = MIN_INLIER_SHARE * n_inliers.unwrap_or(0) as f64;
         (tracked.inliers.total() as f64 >= n_required).then_some(FrameRecord {
+            camera: camera.id,
             sequence: view.sequence,
             timestamp_ns: view.timestamp_ns,
             state: FrameState::Tracked,

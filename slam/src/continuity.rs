@@ -1,7 +1,7 @@
 //! Motion continuity: how far a camera can have moved. Two places that look alike are told apart by it.
 
 use crate::config::ContinuityConfig;
-use crate::map::{Keyframe, KeyframeId, Map, SubmapId, median_depth};
+use crate::map::{CameraId, Keyframe, KeyframeId, Map, SubmapId, median_depth};
 use geometry::Similarity;
 use geometry::nalgebra::Vector3;
 
@@ -20,15 +20,17 @@ pub(crate) struct Reach {
 }
 
 impl Reach {
-    /// From the keyframes made before `timestamp_ns`; `None` where it was long ago or the speed is unknown.
+    /// From the keyframes that a camera made before `timestamp_ns`; `None` where it was long ago or the speed is
+    /// unknown. Clocks of cameras have nothing to do with each other.
     pub fn after_keyframes(
         map: &Map,
         submap: SubmapId,
-        timestamp_ns: i64,
+        (camera, timestamp_ns): (CameraId, i64),
         config: &ContinuityConfig,
     ) -> Option<Self> {
-        let mut before: Vec<&Keyframe> =
-            map.keyframes_of(submap).filter(|keyframe| keyframe.timestamp_ns < timestamp_ns).collect();
+        let is_before =
+            |keyframe: &&Keyframe| keyframe.camera.id == camera && keyframe.timestamp_ns < timestamp_ns;
+        let mut before: Vec<&Keyframe> = map.keyframes_of(submap).filter(is_before).collect();
         before.sort_by_key(|keyframe| keyframe.timestamp_ns);
         let newest = &before[before.len().saturating_sub(N_SPEED_KEYFRAMES)..];
         let (first, last) = (newest.first()?, newest.last()?);
@@ -72,7 +74,7 @@ impl Reach {
 }
 
 /// Whether the camera can have gone from the older submap to where `older_from_newer` says that the newer one
-/// began.
+/// began. Of submaps that no camera was in both of, nothing is known.
 pub(crate) fn can_follow(
     map: &Map,
     older: SubmapId,
@@ -80,9 +82,12 @@ pub(crate) fn can_follow(
     older_from_newer: &Similarity,
     config: &ContinuityConfig,
 ) -> bool {
-    let Some(first) = map.keyframes_of(newer).min_by_key(|keyframe| keyframe.timestamp_ns) else {
+    let Some(camera) = map.keyframes_of(newer).next().map(|keyframe| keyframe.camera.id) else {
         return true;
     };
+    let own = map.keyframes_of(newer).filter(|keyframe| keyframe.camera.id == camera);
+    let Some(first) = own.min_by_key(|keyframe| keyframe.timestamp_ns) else { return true };
     let center = older_from_newer.transform(&first.camera_from_world.center());
-    Reach::after_keyframes(map, older, first.timestamp_ns, config).is_none_or(|reach| reach.includes(&center))
+    let reach = Reach::after_keyframes(map, older, (camera, first.timestamp_ns), config);
+    reach.is_none_or(|reach| reach.includes(&center))
 }

@@ -2,7 +2,7 @@
 
 use crate::clock::FrameTimes;
 use crate::features::View;
-use crate::map::{FrameRecord, Map, SubmapId};
+use crate::map::{CameraId, FrameRecord, Map, SubmapId};
 use crate::report::{FrameReport, MapEvent, TrackingOutcome};
 use crate::tracking::Tracked;
 use crate::tracking::frame::{Inliers, TrackedFrame};
@@ -38,8 +38,9 @@ impl FrameResult {
     }
 
     /// The frame's entry in the trajectory.
-    pub fn record(&self, view: &View, map: &Map) -> FrameRecord {
+    pub fn record(&self, camera: CameraId, view: &View, map: &Map) -> FrameRecord {
         FrameRecord {
+            camera,
             sequence: view.sequence,
             timestamp_ns: view.timestamp_ns,
             state: self.outcome.state(),

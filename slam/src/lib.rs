@@ -87,7 +87,7 @@ pub use localization::{Found, LocalizeCamera, Localizer, Near};
 pub use loops::{KeyframeTies, essential_edges};
 pub use maintenance::{Joined, Merged, Optimized, PlacedFrame, Recordings, merge, optimize};
 pub use map::{Keyframe, Map, MapUpdate};
-pub use pipeline::Pipeline;
+pub use pipeline::{JoinState, Pipeline, SharedMap};
 pub use report::{
     FrameReport, InitializationWait, LineJudgement, LineVerdict, LostReason, MapEvent, ObservedFrame,
     PoseUncertainty, TrackingOutcome,

@@ -1,6 +1,10 @@
-//! Start here: one frame in, one report out. How a session is opened and ended stands in `lifecycle`.
+//! Start here: one frame in, one report out. How a session is opened and ended stands in `lifecycle`, how
+//! several cameras extend one map in `shared_map`.
 
 mod lifecycle;
+mod shared_map;
+
+pub use shared_map::{JoinState, SharedMap};
 
 use crate::backfill::Backfill;
 use crate::clock::{Clock, Stopwatch};
@@ -11,7 +15,7 @@ use crate::frame_result::FrameResult;
 use crate::front_end::FrontEnd;
 use crate::initialization::{InitialPair, Initializer};
 use crate::input::{Frame, FrameError};
-use crate::map::{FramePose, FrameRecord, KeyframeId, Map};
+use crate::map::{CameraId, FramePose, FrameRecord, Map, MapCamera, SubmapId};
 use crate::mapping::stage::MappingStage;
 use crate::mapping::{InitialMap, NewKeyframe};
 use crate::report::{FrameReport, InitializationWait, LostReason, MapEvent, TrackingOutcome};
@@ -25,7 +29,7 @@ use geometry::{Camera, Pose};
 use std::sync::Arc;
 use vision::lines::LineTrackingStatistics;
 
-/// A monocular SLAM session: frames in, reports and map updates out.
+/// A monocular SLAM session: frames of one camera in, reports and map updates out.
 ///
 /// One frame passes through `extract`, then `track` or, while there is no map to follow, `initialize`, then
 /// `extend` (a frame that shows something new becomes a keyframe, and mapping takes it from there). A camera
@@ -34,6 +38,8 @@ use vision::lines::LineTrackingStatistics;
 pub struct Pipeline {
     config: SlamConfig,
     camera: Camera,
+    /// Which of the map's cameras it is.
+    map_camera: MapCamera,
     clock: Arc<dyn Clock>,
     front_end: FrontEnd,
     mapping: MappingStage,
@@ -45,7 +51,6 @@ pub struct Pipeline {
     backfill: Backfill,
     submaps: SubmapPolicy,
     trajectory: TrajectoryLog,
-    next_keyframe_idx: u64,
     last_frame: Option<(u64, i64)>,
     /// What the last frame measured, for whoever wants to see it.
     last_view: Option<View>,
@@ -68,6 +73,7 @@ impl Pipeline {
         frame.check(&self.camera, self.last_frame)?;
         self.choose_resolution(&frame.image);
         self.last_frame = Some((frame.sequence, frame.timestamp_ns));
+        self.mapping.begin_frame();
         let mut stopwatch = Stopwatch::start(self.clock.clone());
         Ok(cores::with_turn(|| {
             stopwatch.lap("wait_for_core");
@@ -84,7 +90,7 @@ impl Pipeline {
         }
         stopwatch.lap("wait_for_mapping");
         self.sync_map();
-        view.correct_camera(&self.map.correction());
+        view.correct_camera(&self.map.correction_of(self.map_camera));
         stopwatch.lap("map_sync");
         let mut result = self.track(&view);
         stopwatch.lap(if result.n_candidates.is_some() { "relocalise" } else { "track" });
@@ -127,8 +133,9 @@ impl Pipeline {
     fn sync_map(&mut self) {
         let newest = self.mapping.newest_map();
         if !Arc::ptr_eq(&newest, &self.map) {
-            if newest.correction() != self.map.correction() {
-                self.front_end.correct_camera(newest.correction());
+            let correction = newest.correction_of(self.map_camera);
+            if correction != self.map.correction_of(self.map_camera) {
+                self.front_end.correct_camera(correction);
             }
             let has_new_readout = newest.readout() != self.map.readout();
             self.map = newest;
@@ -137,9 +144,15 @@ impl Pipeline {
             }
             self.tracker.sync_map(&self.map);
             if let Some(last) = self.tracker.last_frame() {
-                self.submaps.follow(last.submap);
+                self.follow(last.submap);
             }
         }
+    }
+
+    /// The camera is followed in this submap.
+    fn follow(&mut self, submap: SubmapId) {
+        self.submaps.follow(submap);
+        self.mapping.visit(submap);
     }
 
     /// Tries to begin a map, or a further submap, with this view.
@@ -157,21 +170,21 @@ impl Pipeline {
 
     fn begin_map(&mut self, pair: InitialPair) -> FrameResult {
         let n_points = pair.points.len();
-        let (first_id, second_id) = (self.next_keyframe_id(), self.next_keyframe_id());
+        let (first_id, second_id) = (self.mapping.next_keyframe_id(), self.mapping.next_keyframe_id());
         let submap = self.submaps.current();
         let first = TrackedFrame::blank(&pair.first, Pose::identity(), first_id, submap);
         let mut second = TrackedFrame::blank(&pair.second, pair.second_from_first, second_id, submap);
         let first_pose = FramePose { submap, reference: first_id, camera_from_reference: Pose::identity() };
-        let first_record = first_record(first.sequence, first.timestamp_ns, first_pose);
+        let first_record = first_record(self.camera_id(), (first.sequence, first.timestamp_ns), first_pose);
         self.mapping.begin(InitialMap {
-            first: first.to_keyframe(first_id, None),
-            second: second.to_keyframe(second_id, Some(first_id)),
+            first: first.to_keyframe(first_id, self.map_camera, None),
+            second: second.to_keyframe(second_id, self.map_camera, Some(first_id)),
             points: pair.points,
             hypothesis: pair.hypothesis,
             frames: self.trajectory.begin_map(first_record),
         });
         self.map = self.mapping.newest_map();
-        self.front_end.correct_camera(self.map.correction());
+        self.front_end.correct_camera(self.map.correction_of(self.map_camera));
         if let Some(keyframe) = self.map.keyframe(second_id) {
             second.points.clone_from(&keyframe.points);
         }
@@ -193,7 +206,7 @@ impl Pipeline {
         match &tracked.frame {
             None => self.lose(view, was_followed),
             Some(frame) => {
-                self.submaps.follow(frame.submap);
+                self.follow(frame.submap);
                 self.follow_map();
                 if let Some(elsewhere) = self.find_elsewhere(view) {
                     tracked = elsewhere;
@@ -219,9 +232,13 @@ impl Pipeline {
             return None;
         }
         let found = self.tracker.find_elsewhere(view, &self.map, self.submaps.current())?;
-        self.discard_submap();
+        if self.mapping.is_shared(self.submaps.current()) {
+            self.trajectory.keep_submap();
+        } else {
+            self.discard_submap();
+        }
         if let Some(frame) = &found.frame {
-            self.submaps.follow(frame.submap);
+            self.follow(frame.submap);
         }
         Some(found)
     }
@@ -233,31 +250,43 @@ impl Pipeline {
         }
         match self.submaps.lost(view.timestamp_ns, was_followed, &self.map) {
             None => return,
-            Some(Abandoned::Discard) => self.discard_submap(),
-            Some(Abandoned::Keep) => {
+            Some(Abandoned::Discard) if !self.mapping.is_shared(self.submaps.current()) => {
+                self.discard_submap();
+            }
+            Some(Abandoned::Discard | Abandoned::Keep) => {
                 self.trajectory.keep_submap();
                 self.backfill.begin_submap();
             }
         }
         self.tracker.forget();
-        self.submaps.begin_next();
-        let (is_first, shutter) = (self.map.n_keyframes() == 0, self.rolling_shutter.clone());
+        self.submaps.begin_next(self.mapping.core().submap_numbers());
+        let (is_first, shutter) = (self.is_first(), self.rolling_shutter.clone());
         self.initializer = Some(Initializer::new(&self.config, is_first, shutter));
         self.choose_n_features();
     }
 
+    /// Whether the camera is to begin a map that there is nothing of yet, and whose camera it is.
+    fn is_first(&self) -> bool {
+        self.map.n_keyframes() == 0 && self.camera_id() == CameraId::default()
+    }
+
     /// Drops the submap that was begun last. Its frames may yet be placed in another.
     fn discard_submap(&mut self) {
-        self.mapping.discard(self.submaps.current());
-        self.map = self.mapping.newest_map();
-        self.tracker.sync_map(&self.map);
+        let submap = self.submaps.current();
+        let has_keyframes = self.map.keyframes_of(submap).next().is_some();
+        // What else is under way on the map ends when a submap goes: not for nothing where others extend it.
+        if has_keyframes || self.camera_id() == CameraId::default() {
+            self.mapping.discard(submap);
+            self.map = self.mapping.newest_map();
+            self.tracker.sync_map(&self.map);
+        }
         self.backfill.forget_poses();
         self.trajectory.discard_submap();
     }
 
     /// Takes note of whether the camera is the one that the map was made with.
     fn note_camera(&mut self, events: &[MapEvent]) {
-        for event in events {
+        for event in events.iter().filter(|_| self.map_camera.is_refined) {
             match event {
                 MapEvent::CalibrationContradicted { .. } => self.is_camera_wrong = true,
                 MapEvent::CalibrationRefined { .. } => self.is_camera_wrong = false,
@@ -276,7 +305,11 @@ impl Pipeline {
 
     fn record_of(&self, view: &View, result: &FrameResult) -> FrameRecord {
         let told = self.outcome_told(result.outcome);
-        FrameRecord { state: told.state(), reason: told.reason(), ..result.record(view, &self.map) }
+        FrameRecord {
+            state: told.state(),
+            reason: told.reason(),
+            ..result.record(self.camera_id(), view, &self.map)
+        }
     }
 
     /// Notes the frame in the trajectory.
@@ -309,13 +342,13 @@ impl Pipeline {
             return false;
         }
         let Some(place) = frame.pose_in(&self.map) else { return false };
-        let id = self.next_keyframe_id();
+        let id = self.mapping.next_keyframe_id();
         // The frame moves with its keyframe from now on.
         let pose = FramePose { submap: place.submap, reference: id, camera_from_reference: Pose::identity() };
         self.trajectory.replace(FrameRecord { pose: Some(pose), ..self.record_of(view, result) });
         let new = NewKeyframe {
             place,
-            keyframe: self.settled(frame).to_keyframe(id, Some(frame.reference)),
+            keyframe: self.settled(frame).to_keyframe(id, self.map_camera, Some(frame.reference)),
             visibility: self.tracker.take_visibility_counts(),
             frames: self.trajectory.take(),
         };
@@ -333,7 +366,8 @@ impl Pipeline {
 
     /// Keeps a frame that has no pose for later, and places one of those kept before.
     fn step_backfill(&mut self, view: &View, result: &FrameResult) {
-        let is_readout_open = self.config.looks_for_readout(self.map.readout().is_some());
+        let is_readout_open = self.camera_id() == CameraId::default()
+            && self.config.looks_for_readout(self.map.readout().is_some());
         self.backfill.expect_readout(
             is_readout_open && self.map.n_keyframes() <= self.config.rolling_shutter.keep_until_keyframes,
         );
@@ -347,8 +381,7 @@ impl Pipeline {
         }
     }
 
-    fn next_keyframe_id(&mut self) -> KeyframeId {
-        self.next_keyframe_idx += 1;
-        KeyframeId::from_index(self.next_keyframe_idx as usize - 1)
+    fn camera_id(&self) -> CameraId {
+        self.map_camera.id
     }
 }

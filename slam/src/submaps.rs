@@ -2,6 +2,7 @@
 
 use crate::config::SubmapConfig;
 use crate::map::{Map, SubmapId};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// What becomes of a submap in which the camera was lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -12,14 +13,31 @@ pub(crate) enum Abandoned {
     Keep,
 }
 
-/// The submap policy of a session.
+/// Numbers of a map's submaps, for all of its cameras: none is given to two.
+#[derive(Debug)]
+pub(crate) struct SubmapNumbers(AtomicU32);
+
+impl SubmapNumbers {
+    /// Goes on behind those of a map.
+    pub fn after(map: &Map) -> Self {
+        Self(AtomicU32::new(newest(map).0))
+    }
+
+    fn next(&self) -> SubmapId {
+        SubmapId(self.0.fetch_add(1, Ordering::Relaxed) + 1)
+    }
+}
+
+fn newest(map: &Map) -> SubmapId {
+    map.submaps().last().copied().unwrap_or_default()
+}
+
+/// The submap policy of a camera.
 #[derive(Debug)]
 pub(crate) struct SubmapPolicy {
     config: SubmapConfig,
     /// The submap the camera is followed in, or is to begin.
     current: SubmapId,
-    /// The highest submap so far; its number is not given to another.
-    last: SubmapId,
     /// Time of the first frame of those without a pose until now.
     lost_since_ns: Option<i64>,
     /// Frames followed in a young submap since the others were last searched.
@@ -29,8 +47,12 @@ pub(crate) struct SubmapPolicy {
 impl SubmapPolicy {
     /// Goes on in the newest submap of a map.
     pub fn resume(config: SubmapConfig, map: &Map) -> Self {
-        let newest = map.submaps().last().copied().unwrap_or_default();
-        Self { config, current: newest, last: newest, lost_since_ns: None, n_since_search: 0 }
+        Self { config, current: newest(map), lost_since_ns: None, n_since_search: 0 }
+    }
+
+    /// Begins a submap of its own, unless the camera is found in another before.
+    pub fn beside(config: SubmapConfig, numbers: &SubmapNumbers) -> Self {
+        Self { config, current: numbers.next(), lost_since_ns: None, n_since_search: 0 }
     }
 
     pub fn current(&self) -> SubmapId {
@@ -62,9 +84,8 @@ impl SubmapPolicy {
     }
 
     /// The next frames begin a submap of their own.
-    pub fn begin_next(&mut self) {
-        self.last = SubmapId(self.last.max(self.current).0 + 1);
-        self.current = self.last;
+    pub fn begin_next(&mut self, numbers: &SubmapNumbers) {
+        self.current = numbers.next();
     }
 
     /// Whether the current submap is too small to be of use.
@@ -109,11 +130,13 @@ mod tests {
 
     #[test]
     fn numbers_of_submaps_are_not_given_twice() {
+        let numbers = SubmapNumbers::after(&Map::default());
         let mut policy = SubmapPolicy::resume(SubmapConfig::default(), &Map::default());
-        policy.begin_next();
+        policy.begin_next(&numbers);
         let second = policy.current();
         policy.follow(SubmapId::default());
-        policy.begin_next();
-        assert!(policy.current() > second);
+        let beside = SubmapPolicy::beside(SubmapConfig::default(), &numbers);
+        policy.begin_next(&numbers);
+        assert!(second < beside.current() && beside.current() < policy.current());
     }
 }

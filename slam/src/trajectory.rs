@@ -1,6 +1,6 @@
 //! The trajectory until it is stored: which frames' poses are waiting, and which may yet be taken back.
 
-use crate::map::{FramePose, FrameRecord, FrameState};
+use crate::map::{CameraId, FramePose, FrameRecord, FrameState};
 
 /// Frames without a keyframe after which the trajectory so far is handed out to be stored.
 const MAX_UNRECORDED_FRAMES: usize = 30;
@@ -70,9 +70,13 @@ impl TrajectoryLog {
 }
 
 /// The record of the frame at which a map begins: its pose is that of its keyframe.
-pub(crate) fn first_record(sequence: u64, timestamp_ns: i64, pose: FramePose) -> FrameRecord {
+pub(crate) fn first_record(
+    camera: CameraId,
+    (sequence, timestamp_ns): (u64, i64),
+    pose: FramePose,
+) -> FrameRecord {
     let (state, reason) = (FrameState::Tracked, String::new());
-    FrameRecord { sequence, timestamp_ns, state, pose: Some(pose), backfilled: true, reason }
+    FrameRecord { camera, sequence, timestamp_ns, state, pose: Some(pose), backfilled: true, reason }
 }
 
 #[cfg(test)]
@@ -89,6 +93,7 @@ mod tests {
         };
         let timestamp_ns = sequence as i64;
         FrameRecord {
+            camera: CameraId::default(),
             sequence,
             timestamp_ns,
             state: FrameState::Tracked,

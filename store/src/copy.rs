@@ -38,15 +38,16 @@ const SESSION: &str = "t camera, t options, i created_at_ns, i state, i last_seq
      i last_keyframe_id, i last_point_id, i n_frames, i n_keyframes, i n_points, i n_submaps, r metres_per_unit, \
      i last_line_id, i last_primitive_id, i n_lines, i n_primitives, r focal_correction, r centre_x_correction, \
      r centre_y_correction, f enlarges_small_images, r k1_correction, r k2_correction, r mask_share, f mask_given, \
-     f enlarges_for_border, f calibration_contradicted, i found_readout_ns, i found_readout_sigma_ns";
+     f enlarges_for_border, f calibration_contradicted, i found_readout_ns, i found_readout_sigma_ns, t map, \
+     i camera_number, i last_camera_number";
 
 /// Tables of a session, in an order in which none refers to one behind it.
-const TABLES: [Table; 12] = [
+const TABLES: [Table; 13] = [
     // In one transaction: a keyframe may hang on a later one.
     Table {
         name: "keyframes",
         columns: "i id, i submap, i sequence, i timestamp_ns, r qx, r qy, r qz, r qw, r tx, r ty, r tz, i parent, \
-                  i n_keypoints, i n_points, i n_segments, i n_lines, r unit",
+                  i n_keypoints, i n_points, i n_segments, i n_lines, r unit, i camera",
         n_per_step: usize::MAX,
     },
     blobs("keyframe_features", "i keyframe, b features"),
@@ -76,6 +77,7 @@ const TABLES: [Table; 12] = [
     ),
     table("segments", "i first_sequence, i ahead_ns"),
     table("session_masks", "b runs"),
+    table("added_cameras", "i camera, t parameters"),
     blobs("motion", "i first_ns, i n_readings, b readings"),
 ];
 

@@ -1,5 +1,6 @@
 //! Deleting sessions.
 
+use crate::cameras::check_unused;
 use crate::engine::{Connection, query};
 use crate::points::cell::MAX_POINT_ID;
 use crate::{Store, StoreError};
@@ -62,21 +63,25 @@ const STEPS: [Step; 10] = [
 ];
 
 impl Store {
-    /// Deletes a session with everything in it.
+    /// Deletes a session with everything in it. What a camera that was added to another session's map has put
+    /// into that stays there.
     ///
     /// The name is free and the session is gone from every list at once; its rows are cleared away in small
     /// transactions, so that others go on being stored meanwhile. Should that be interrupted, the next
     /// [`Store::open`] finishes it.
     ///
     /// # Errors
-    /// [`StoreError::SessionNotFound`] if there is none of this name.
+    /// [`StoreError::SessionNotFound`] if there is none of this name, [`StoreError::MapInUse`] if other
+    /// sessions' cameras extend its map.
     pub async fn delete_session(&self, id: &str) -> Result<(), StoreError> {
         let mut transaction = self.begin_write().await?;
         transaction.hold(id).await?;
-        let number: Option<i64> = query("UPDATE sessions SET id = NULL WHERE id = $1 RETURNING number")
-            .bind(id)
-            .scalar(&mut transaction)
-            .await?;
+        check_unused(&mut transaction, id).await?;
+        let number: Option<i64> =
+            query("UPDATE sessions SET id = NULL, map = NULL WHERE id = $1 RETURNING number")
+                .bind(id)
+                .scalar(&mut transaction)
+                .await?;
         let number = number.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?;
         transaction.commit().await?;
         match self.clear_session(number).await {

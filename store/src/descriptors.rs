@@ -1,9 +1,9 @@
 //! What a map's points look like, without the rest of it: enough to tell whether an image may show the map.
 
+use crate::cameras::map_number;
 use crate::engine::query;
 use crate::load::blocking;
 use crate::number::keyframe_id;
-use crate::session::session_number;
 use crate::{Store, StoreError};
 use slam::map::KeyframeId;
 use std::collections::BTreeMap;
@@ -22,7 +22,7 @@ impl Store {
         session: &str,
     ) -> Result<BTreeMap<KeyframeId, Vec<Descriptor>>, StoreError> {
         let mut transaction = self.begin_read().await?;
-        let number = session_number(&mut transaction, session).await?;
+        let number = map_number(&mut transaction, session).await?;
         let (mut all, mut after) = (BTreeMap::<KeyframeId, Vec<Descriptor>>::new(), 0_i64);
         loop {
             let rows = query(

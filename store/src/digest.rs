@@ -38,17 +38,19 @@ impl fmt::Display for Digest {
 /// Every table with every column but the session's number and name and wall-clock time, ordered by key; of
 /// cells, which follow from the rows and which [`Store::check`] compares with them, which there are.
 /// Parameter 1 is the session's number, 2 the mask of a point's id in a key.
-const TABLES: [(&str, &str); 15] = [
+const TABLES: [(&str, &str); 16] = [
     (
         "sessions",
         "SELECT camera, options, state, last_sequence, last_timestamp_ns, last_keyframe_id, last_point_id, last_line_id,
-         last_primitive_id, n_frames, n_keyframes, n_points, n_lines, n_primitives, n_submaps, metres_per_unit FROM sessions WHERE number = $1",
+         last_primitive_id, n_frames, n_keyframes, n_points, n_lines, n_primitives, n_submaps, metres_per_unit, map,
+         camera_number FROM sessions WHERE number = $1",
     ),
     (
         "keyframes",
         "SELECT id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, unit, parent, n_keypoints, n_points,
-         n_segments, n_lines FROM keyframes WHERE session = $1 ORDER BY id",
+         n_segments, n_lines, camera FROM keyframes WHERE session = $1 ORDER BY id",
     ),
+    ("added_cameras", "SELECT camera, parameters FROM added_cameras WHERE session = $1 ORDER BY camera"),
     (
         "keyframe_features",
         "SELECT keyframe, features FROM keyframe_features WHERE session = $1 ORDER BY keyframe",

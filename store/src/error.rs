@@ -36,6 +36,14 @@ pub enum StoreError {
         /// The name asked for.
         id: String,
     },
+    /// Other sessions' cameras extend the session's map.
+    #[error("session {by:?} has its camera extend the map of session {id:?}; delete that one first")]
+    MapInUse {
+        /// The session whose map it is.
+        id: String,
+        /// One of the others.
+        by: String,
+    },
     /// The name of a token is taken.
     #[error("there is already a token {name:?}; tokens that were revoked keep their names")]
     TokenExists {

@@ -1,9 +1,10 @@
 //! Every frame of a session, with or without a pose, and which keyframe moves it.
 
+use crate::cameras::Numbers;
 use crate::engine::{Row, query};
 use crate::number::{from_column, keyframe_id, to_column};
 use crate::pose::{PoseBook, read_pose};
-use crate::session::{parse_state, session_number};
+use crate::session::parse_state;
 use crate::{Store, StoreError};
 use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
 use geometry::Pose;
@@ -55,8 +56,8 @@ impl Store {
         session: &str,
     ) -> Result<BoxStream<'static, Result<FrameEntry, StoreError>>, StoreError> {
         let mut transaction = self.begin_read().await?;
-        let number = session_number(&mut transaction, session).await?;
-        let book = PoseBook::read(&mut transaction, number).await?;
+        let Numbers { own: number, map, .. } = Numbers::of(&mut transaction, session).await?;
+        let book = PoseBook::read(&mut transaction, map).await?;
         transaction.commit().await?;
         let start = (self.clone(), book, 0_u64);
         let steps = stream::try_unfold(start, move |(store, book, next)| async move {

@@ -1,9 +1,9 @@
 //! Keyframes without their features, and their images.
 
+use crate::cameras::map_number;
 use crate::engine::{Connection, Row, query};
 use crate::number::{from_column, from_column_u32, keyframe_column, keyframe_id, submap_id};
 use crate::pose::read_pose;
-use crate::session::session_number;
 use crate::{Page, Store, StoreError};
 use geometry::Pose;
 use slam::map::{KeyframeId, SubmapId};
@@ -88,7 +88,7 @@ impl Store {
         id: KeyframeId,
     ) -> Result<Option<StoredImage>, StoreError> {
         let mut reader = self.reader().await?;
-        let number = session_number(&mut reader, session).await?;
+        let number = map_number(&mut reader, session).await?;
         let row = query("SELECT media_type, bytes FROM keyframe_images WHERE session = $1 AND keyframe = $2")
             .bind(number)
             .bind(keyframe_column(id)?)
@@ -105,7 +105,7 @@ impl Store {
         limit: i64,
     ) -> Result<Vec<KeyframeRecord>, StoreError> {
         let mut reader = self.reader().await?;
-        let number = session_number(&mut reader, session).await?;
+        let number = map_number(&mut reader, session).await?;
         select_keyframes(&mut reader, number, first, last, limit).await
     }
 }

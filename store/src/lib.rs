@@ -43,7 +43,7 @@
 //!     distortion: vec![],
 //! };
 //! let options = SessionOptions::default();
-//! let new = NewSession { id: "kitchen".into(), camera, options, created_at_ns: 0, mask: None };
+//! let new = NewSession { id: "kitchen".into(), camera, options, created_at_ns: 0, mask: None, map: None };
 //! store.create_session(&new).await?;
 //! assert_eq!(store.list_sessions(None, 10).await?.items[0].id, "kitchen");
 //! assert!(store.check().await?.is_empty());
@@ -53,6 +53,7 @@
 
 mod backup;
 mod blob;
+mod cameras;
 mod check;
 mod copy;
 mod delete;
@@ -88,6 +89,7 @@ mod tokens;
 mod trajectory;
 
 pub use backup::Verified;
+pub use cameras::LoadedCamera;
 pub use check::Finding;
 pub use copy::Copied;
 pub use digest::{Digest, TableDigest};

@@ -1,10 +1,11 @@
 //! Loading a session's map, to take it up again.
 
 use crate::blob::{FeatureSettings, decode_features, decode_vanishing};
+use crate::cameras::{MapSessions, read_added};
 use crate::engine::{Connection, Row, query};
 use crate::lines::{LINE_COLUMNS, parse_line};
 use crate::mask::read_mask;
-use crate::number::{from_column, keyframe_id, submap_id};
+use crate::number::{camera_id, from_column, keyframe_id, submap_id};
 use crate::observations::enter_observations;
 use crate::points::{POINT_COLUMNS, parse_point};
 use crate::pose::{read_local_scale, read_pose, read_removed};
@@ -13,8 +14,9 @@ use crate::segments::Segments;
 use crate::session::parse_session;
 use crate::{SessionRecord, Store, StoreError};
 use geometry::Camera;
-use slam::map::{LastIds, MapParts};
+use slam::map::{CameraId, LastIds, MapCamera, MapParts};
 use slam::{Keyframe, ResumeState, SlamConfig};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Keyframes fetched at a time, some 3 MB of features.
@@ -49,15 +51,11 @@ impl Store {
             query("SELECT * FROM sessions WHERE id = $1").bind(id).fetch_optional(&mut transaction).await?;
         let row = row.ok_or_else(|| StoreError::SessionNotFound { id: id.to_owned() })?;
         let (number, record) = parse_session(&row)?;
-        let working_camera = config.working_camera(&record.checked_camera()?);
-        let settings =
-            FeatureSettings { pinhole: working_camera.nominal_pinhole(), pyramid: config.pyramid() };
-
-        let segments = Segments::read(&mut transaction, number).await?;
-        let mut keyframes =
-            read_keyframes(&mut transaction, number, Arc::new(working_camera), settings).await?;
-        for keyframe in &mut keyframes {
-            keyframe.timestamp_ns = segments.engine_ns(keyframe.sequence, keyframe.timestamp_ns);
+        let sessions = MapSessions::read_only(&mut transaction, (number, &record)).await?;
+        let cameras = read_cameras(&mut transaction, (number, &record), config).await?;
+        let mut keyframes = read_keyframes(&mut transaction, number, Arc::new(cameras)).await?;
+        for Keyframe { camera, sequence, timestamp_ns, .. } in &mut keyframes {
+            *timestamp_ns = sessions.engine_ns(camera.id, *sequence, *timestamp_ns);
         }
         let points = read_landmarks(&mut transaction, number, ("points", POINT_COLUMNS), parse_point).await?;
         let lines = read_landmarks(&mut transaction, number, ("lines", LINE_COLUMNS), parse_line).await?;
@@ -82,6 +80,7 @@ impl Store {
                 primitive: from_column("last_primitive_id", row.try_get("last_primitive_id")?)?,
             },
         };
+        let segments = sessions.own;
         let map = blocking(move || enter_observations(parts)).await?;
         let engine_ns = |(sequence, timestamp_ns)| (sequence, segments.engine_ns(sequence, timestamp_ns));
         let resume = ResumeState { map, last_frame: record.last_frame.map(engine_ns), mask };
@@ -102,17 +101,51 @@ pub(crate) async fn blocking<T: Send + 'static>(
     }
 }
 
+/// A camera of a map, and what its keyframes' features must be of.
+struct CameraOfMap {
+    camera: MapCamera,
+    working_camera: Camera,
+    settings: FeatureSettings,
+}
+
+impl CameraOfMap {
+    fn new(camera: MapCamera, working_camera: Camera, config: &SlamConfig) -> Self {
+        let settings =
+            FeatureSettings { pinhole: working_camera.nominal_pinhole(), pyramid: config.pyramid() };
+        Self { camera, working_camera, settings }
+    }
+}
+
+type CamerasOfMap = BTreeMap<CameraId, CameraOfMap>;
+
+async fn read_cameras(
+    connection: &mut Connection,
+    (number, record): (i64, &SessionRecord),
+    config: &SlamConfig,
+) -> Result<CamerasOfMap, StoreError> {
+    let own = config.working_camera(&record.checked_camera()?);
+    let own = CameraOfMap::new(MapCamera::default(), own, config);
+    let mut cameras = BTreeMap::from([(CameraId::default(), own)]);
+    if record.last_camera != CameraId::default() {
+        for (id, added) in read_added(connection, (number, &record.camera)).await? {
+            let working_camera = added.working_camera(config)?;
+            cameras.insert(id, CameraOfMap::new(added.of_map(id), working_camera, config));
+        }
+    }
+    Ok(cameras)
+}
+
 async fn read_keyframes(
     connection: &mut Connection,
     session: i64,
-    working_camera: Arc<Camera>,
-    settings: FeatureSettings,
+    cameras: Arc<CamerasOfMap>,
 ) -> Result<Vec<Keyframe>, StoreError> {
     let mut keyframes: Vec<Keyframe> = Vec::new();
     loop {
         let after = keyframes.last().map_or(0, |last| last.id.get() as i64);
         let rows = query(
-            "SELECT k.id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, features, vanishing, unit
+            "SELECT k.id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, parent, features, vanishing, unit,
+                 camera
              FROM keyframes k LEFT JOIN keyframe_features f ON f.session = k.session AND f.keyframe = k.id
              LEFT JOIN keyframe_vanishing v ON v.session = k.session AND v.keyframe = k.id
              WHERE k.session = $1 AND k.id > $2 ORDER BY k.id LIMIT $3",
@@ -125,21 +158,24 @@ async fn read_keyframes(
         if rows.is_empty() {
             return Ok(keyframes);
         }
-        let camera = Arc::clone(&working_camera);
+        let cameras = Arc::clone(&cameras);
         let parsed = blocking(move || {
-            rows.iter().map(|row| parse_keyframe(row, &camera, &settings)).collect::<Result<Vec<_>, _>>()
+            rows.iter().map(|row| parse_keyframe(row, &cameras)).collect::<Result<Vec<_>, _>>()
         });
         keyframes.extend(parsed.await?);
     }
 }
 
 /// A keyframe that sees nothing yet.
-fn parse_keyframe(row: &Row, camera: &Camera, settings: &FeatureSettings) -> Result<Keyframe, StoreError> {
+fn parse_keyframe(row: &Row, cameras: &CamerasOfMap) -> Result<Keyframe, StoreError> {
     let id = keyframe_id(row.try_get(0)?)?;
     let corrupt = |what: &dyn std::fmt::Display| StoreError::Corrupt(format!("keyframe {id}: {what}"));
     let blob: Option<&[u8]> = row.try_get(12)?;
     let blob = blob.ok_or_else(|| corrupt(&"it has no features"))?;
-    let features = decode_features(blob, camera, settings).map_err(|error| corrupt(&error))?;
+    let camera = cameras.get(&camera_id(row.try_get(15)?)?);
+    let camera = camera.ok_or_else(|| corrupt(&"it is of a camera that nothing is known of"))?;
+    let CameraOfMap { camera, working_camera, settings } = camera;
+    let features = decode_features(blob, working_camera, settings).map_err(|error| corrupt(&error))?;
     let features = features.map_err(|made_with| StoreError::OtherSettings(describe(&made_with, settings)))?;
     let vanishing: Option<&[u8]> = row.try_get(13)?;
     let vanishing = vanishing.map(|blob| decode_vanishing(blob, features.lines.len())).transpose();
@@ -154,6 +190,7 @@ fn parse_keyframe(row: &Row, camera: &Camera, settings: &FeatureSettings) -> Res
         Arc::new(features),
         parent.map(keyframe_id).transpose()?,
     );
+    keyframe.camera = *camera;
     keyframe.vanishing = vanishing.unwrap_or_default();
     keyframe.local_scale = read_local_scale(row, 14)?;
     Ok(keyframe)

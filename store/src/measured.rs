@@ -1,11 +1,11 @@
 //! What one keyframe measured, and which landmarks it sees by that.
 
 use crate::blob::{decode_observations, decode_vanishing, measured};
+use crate::cameras::map_number;
 use crate::engine::{Connection, Row, query};
 use crate::load::blocking;
 use crate::number::{keyframe_column, line_id, point_id};
 use crate::primitives::read_primitives;
-use crate::session::session_number;
 use crate::{Store, StoreError};
 use slam::features::LineFeature;
 use slam::map::{KeyframeId, LineId, PointId, VanishingObservation};
@@ -40,7 +40,7 @@ impl Store {
         id: KeyframeId,
     ) -> Result<Option<MeasuredKeyframe>, StoreError> {
         let mut transaction = self.begin_read().await?;
-        let session = session_number(&mut transaction, session).await?;
+        let session = map_number(&mut transaction, session).await?;
         let Some((keypoints, segments, mut vanishing)) = read_measured(&mut transaction, session, id).await?
         else {
             return Ok(None);
@@ -69,7 +69,7 @@ impl Store {
         id: KeyframeId,
     ) -> Result<Option<Vec<[f32; 2]>>, StoreError> {
         let mut reader = self.reader().await?;
-        let session = session_number(&mut reader, session).await?;
+        let session = map_number(&mut reader, session).await?;
         Ok(read_measured(&mut reader, session, id).await?.map(|(keypoints, _, _)| keypoints))
     }
 
@@ -79,7 +79,7 @@ impl Store {
     /// [`StoreError::SessionNotFound`].
     pub async fn newest_image(&self, session: &str) -> Result<Option<KeyframeId>, StoreError> {
         let mut reader = self.reader().await?;
-        let session = session_number(&mut reader, session).await?;
+        let session = map_number(&mut reader, session).await?;
         let newest: Option<i64> = query("SELECT max(keyframe) FROM keyframe_images WHERE session = $1")
             .bind(session)
             .only(&mut reader)

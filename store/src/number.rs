@@ -1,7 +1,7 @@
 //! Numbers between the domain's unsigned ones and SQLite's signed 64 bits.
 
 use crate::StoreError;
-use slam::map::{KeyframeId, LineId, PointId, PrimitiveId, SubmapId};
+use slam::map::{CameraId, KeyframeId, LineId, PointId, PrimitiveId, SubmapId};
 
 /// Greatest sequence number the store takes.
 pub const MAX_SEQUENCE: u64 = i64::MAX as u64;
@@ -51,6 +51,10 @@ pub(crate) fn primitive_id(value: i64) -> Result<PrimitiveId, StoreError> {
 
 pub(crate) fn submap_id(value: i64) -> Result<SubmapId, StoreError> {
     from_column_u32("a submap", value).map(SubmapId)
+}
+
+pub(crate) fn camera_id(value: i64) -> Result<CameraId, StoreError> {
+    from_column_u32("a camera's number", value).map(CameraId)
 }
 
 /// A keyframe's id as a column value.

@@ -1,9 +1,9 @@
 //! Global primitives: their rows, alone and in pages.
 
 use crate::blob::{decode_covariance, decode_observations};
+use crate::cameras::map_number;
 use crate::engine::{Connection, Row, query};
 use crate::number::{from_column, keyframe_id, primitive_id, submap_id, to_column};
-use crate::session::session_number;
 use crate::{Page, Store, StoreError};
 use geometry::Direction;
 use nalgebra::Vector3;
@@ -40,7 +40,7 @@ impl Store {
              FROM primitives p WHERE session = $1 AND id > $2 AND submap = coalesce($3, submap) ORDER BY id LIMIT $4"
         );
         let mut reader = self.reader().await?;
-        let number = session_number(&mut reader, session).await?;
+        let number = map_number(&mut reader, session).await?;
         let rows = query(sql)
             .bind(number)
             .bind(after.map_or(Ok(0), |id| to_column("primitive id", id.get()))?)
@@ -67,7 +67,7 @@ impl Store {
              FROM primitives p WHERE session = $1 AND id = $2"
         );
         let mut reader = self.reader().await?;
-        let number = session_number(&mut reader, session).await?;
+        let number = map_number(&mut reader, session).await?;
         let row = query(sql)
             .bind(number)
             .bind(to_column("primitive id", id.get())?)

@@ -1,6 +1,7 @@
 //! A whole map, piece by piece, as of one commit.
 
 use crate::blob::positions;
+use crate::cameras::map_number;
 use crate::engine::{Connection, query};
 use crate::keyframes::select_keyframes;
 use crate::lines::{LineCursor, LineQuery};
@@ -29,7 +30,8 @@ impl Store {
     /// [`StoreError::SessionNotFound`].
     pub async fn snapshot(&self, session: &str) -> Result<MapSnapshot, StoreError> {
         let mut transaction = self.begin_read().await?;
-        let (session, record) = read_session(&mut transaction, session).await?;
+        let (_, record) = read_session(&mut transaction, session).await?;
+        let session = map_number(&mut transaction, session).await?;
         Ok(MapSnapshot { transaction, session, record })
     }
 }

@@ -1,9 +1,10 @@
 //! Trajectories, resolved when they are asked for.
 
+use crate::cameras::Numbers;
 use crate::engine::{Connection, Row, query};
 use crate::number::{from_column, keyframe_id, to_column};
 use crate::pose::{PoseBook, read_pose};
-use crate::session::{parse_state, session_number};
+use crate::session::parse_state;
 use crate::{Store, StoreError};
 use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
 use geometry::Pose;
@@ -82,21 +83,21 @@ impl Store {
         filter: TrajectoryFilter,
     ) -> Result<BoxStream<'static, Result<TrajectoryPose, StoreError>>, StoreError> {
         let mut transaction = self.begin_read().await?;
-        let number = session_number(&mut transaction, session).await?;
-        let book = PoseBook::read(&mut transaction, number).await?;
+        let numbers = Numbers::of(&mut transaction, session).await?;
+        let book = PoseBook::read(&mut transaction, numbers.map).await?;
         let last: Option<i64> = query("SELECT last_sequence FROM sessions WHERE number = $1")
-            .bind(number)
+            .bind(numbers.own)
             .only(&mut transaction)
             .await?;
         let submap = match filter.submaps {
             SubmapChoice::All => None,
             SubmapChoice::One(submap) => Some(submap),
-            SubmapChoice::Largest => largest_submap(&mut transaction, number, kind, &book).await?,
+            SubmapChoice::Largest => largest_submap(&mut transaction, numbers, kind, &book).await?,
         };
         transaction.commit().await?;
         let cursor = Cursor {
             store: self.clone(),
-            session: number,
+            numbers,
             kind,
             filter,
             submap,
@@ -121,9 +122,9 @@ impl Store {
         kind: TrajectoryKind,
     ) -> Result<BTreeMap<SubmapId, u64>, StoreError> {
         let mut transaction = self.begin_read().await?;
-        let number = session_number(&mut transaction, session).await?;
-        let book = PoseBook::read(&mut transaction, number).await?;
-        let n_poses = poses_by_submap(&mut transaction, number, kind, &book).await?;
+        let numbers = Numbers::of(&mut transaction, session).await?;
+        let book = PoseBook::read(&mut transaction, numbers.map).await?;
+        let n_poses = poses_by_submap(&mut transaction, numbers, kind, &book).await?;
         transaction.commit().await?;
         Ok(n_poses)
     }
@@ -132,7 +133,7 @@ impl Store {
 /// How far a trajectory has been read.
 struct Cursor {
     store: Store,
-    session: i64,
+    numbers: Numbers,
     kind: TrajectoryKind,
     filter: TrajectoryFilter,
     /// The only submap whose poses are wanted.
@@ -150,10 +151,11 @@ const SELECT_FRAMES: &str = "SELECT sequence, timestamp_ns, state, backfilled, r
      AND timestamp_ns BETWEEN $4 AND $5 ORDER BY sequence LIMIT $6";
 
 /// Keyframes are few: those of the whole session are no more than a few steps' worth of frames. Times and
-/// numbers of frames rise together, so one order is the other. State 2 is tracked.
+/// numbers of frames rise together, so one order is the other. State 2 is tracked. A keyframe is a pose of the
+/// session whose camera took it.
 const SELECT_KEYFRAMES: &str = "SELECT sequence, timestamp_ns, CAST(2 AS BIGINT), FALSE, id, qx, qy, qz, qw, tx, ty, tz \
      FROM keyframes WHERE session = $1 AND sequence >= $2 AND sequence <= $3 \
-     AND timestamp_ns BETWEEN $4 AND $5 ORDER BY sequence LIMIT $6";
+     AND timestamp_ns BETWEEN $4 AND $5 AND camera = $7 ORDER BY sequence LIMIT $6";
 
 impl Cursor {
     /// The next poses; `None` at the end.
@@ -161,20 +163,21 @@ impl Cursor {
         if self.next > self.last {
             return Ok(None);
         }
-        let sql = match self.kind {
-            TrajectoryKind::Frames => SELECT_FRAMES,
-            TrajectoryKind::Keyframes => SELECT_KEYFRAMES,
+        let Numbers { own, map, camera } = self.numbers;
+        let (sql, session) = match self.kind {
+            TrajectoryKind::Frames => (SELECT_FRAMES, own),
+            TrajectoryKind::Keyframes => (SELECT_KEYFRAMES, map),
         };
         let mut reader = self.store.reader().await?;
-        let rows = query(sql)
-            .bind(self.session)
+        let select = query(sql)
+            .bind(session)
             .bind(self.next)
             .bind(self.last)
             .bind(self.filter.from_timestamp_ns.unwrap_or(i64::MIN))
             .bind(self.filter.to_timestamp_ns.unwrap_or(i64::MAX))
-            .bind(FRAMES_PER_STEP)
-            .fetch_all(&mut reader)
-            .await?;
+            .bind(FRAMES_PER_STEP);
+        let select = if self.kind == TrajectoryKind::Keyframes { select.bind(camera) } else { select };
+        let rows = select.fetch_all(&mut reader).await?;
         drop(reader);
         let Some(last_row) = rows.last() else { return Ok(None) };
         self.next = last_row.try_get::<i64, _>(0)?.saturating_add(1);
@@ -211,29 +214,34 @@ impl Cursor {
 /// The submap with the most poses of a kind; `None` if there are none.
 async fn largest_submap(
     connection: &mut Connection,
-    session: i64,
+    numbers: Numbers,
     kind: TrajectoryKind,
     book: &PoseBook,
 ) -> Result<Option<SubmapId>, StoreError> {
-    let n_poses = poses_by_submap(connection, session, kind, book).await?;
+    let n_poses = poses_by_submap(connection, numbers, kind, book).await?;
     let largest = n_poses.into_iter().max_by_key(|(submap, n)| (*n, std::cmp::Reverse(*submap)));
     Ok(largest.map(|(submap, _)| submap))
 }
 
 async fn poses_by_submap(
     connection: &mut Connection,
-    session: i64,
+    Numbers { own, map, camera }: Numbers,
     kind: TrajectoryKind,
     book: &PoseBook,
 ) -> Result<BTreeMap<SubmapId, u64>, StoreError> {
-    let sql = match kind {
-        TrajectoryKind::Frames => {
-            "SELECT reference, count(*) FROM frames WHERE session = $1 AND reference IS NOT NULL GROUP BY reference"
+    let select = match kind {
+        TrajectoryKind::Frames => query(
+            "SELECT reference, count(*) FROM frames WHERE session = $1 AND reference IS NOT NULL GROUP BY reference",
+        )
+        .bind(own),
+        TrajectoryKind::Keyframes => {
+            query("SELECT id, CAST(1 AS BIGINT) FROM keyframes WHERE session = $1 AND camera = $2")
+                .bind(map)
+                .bind(camera)
         }
-        TrajectoryKind::Keyframes => "SELECT id, CAST(1 AS BIGINT) FROM keyframes WHERE session = $1",
     };
     let mut n_poses: BTreeMap<SubmapId, u64> = BTreeMap::new();
-    for row in query(sql).bind(session).fetch_all(connection).await? {
+    for row in select.fetch_all(connection).await? {
         if let Some((submap, _)) = book.locate(keyframe_id(row.try_get(0)?)?, &Pose::identity()) {
             *n_poses.entry(submap).or_default() += from_column("a count", row.try_get(1)?)?;
         }
@@ -261,7 +269,7 @@ impl Store {
     /// [`StoreError::SessionNotFound`].
     pub async fn frame(&self, session: &str, sequence: u64) -> Result<Option<StoredFrame>, StoreError> {
         let mut transaction = self.begin_read().await?;
-        let number = session_number(&mut transaction, session).await?;
+        let Numbers { own: number, map, .. } = Numbers::of(&mut transaction, session).await?;
         let row = query(
             "SELECT timestamp_ns, state, reference, qx, qy, qz, qw, tx, ty, tz FROM frames
              WHERE session = $1 AND sequence = $2",
@@ -274,7 +282,7 @@ impl Store {
         let reference: Option<i64> = row.try_get(2)?;
         let world_from_camera = match reference {
             Some(reference) => {
-                let book = PoseBook::read(&mut transaction, number).await?;
+                let book = PoseBook::read(&mut transaction, map).await?;
                 let placed = book.locate(keyframe_id(reference)?, &read_pose(&row, 3)?);
                 placed.map(|(submap, camera_from_world)| (submap, camera_from_world.inverse()))
             }

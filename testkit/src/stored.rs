@@ -57,6 +57,7 @@ pub fn new_session(id: &str) -> NewSession {
         options,
         created_at_ns: 1_700_000_000_000_000_000,
         mask: None,
+        map: None,
     }
 }
 

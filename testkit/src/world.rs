@@ -4,7 +4,7 @@ use geometry::{Camera, CameraModel, CameraParameters, Direction, Line3, Pose};
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 use slam::features::{FrameFeatures, LineFeature};
 use slam::map::{
-    FramePose, FrameRecord, FrameState, GlobalPrimitive, KeyframeId, LastIds, LineId, LineLandmark,
+    CameraId, FramePose, FrameRecord, FrameState, GlobalPrimitive, KeyframeId, LastIds, LineId, LineLandmark,
     MapChanges, MapParts, Observation, PointId, PointLandmark, PrimitiveId, PrimitiveObservation, SubmapId,
     VanishingObservation,
 };
@@ -286,6 +286,7 @@ pub fn first_update(parts: &MapParts) -> MapUpdate {
 pub fn frame(sequence: u64, reference: KeyframeId) -> FrameRecord {
     let camera_from_reference = Numbers(sequence).pose();
     FrameRecord {
+        camera: CameraId::default(),
         sequence,
         timestamp_ns: sequence as i64 * 50_000_000,
         state: FrameState::Tracked,

@@ -80,6 +80,8 @@ pub struct SessionView {
     pub loaded: bool,
     /// Whether a writer is connected.
     pub has_writer: bool,
+    /// The session whose map its camera extends; `None` if it has one of its own.
+    pub map: Option<String>,
     /// What of it is damaged, so that it cannot be streamed into; `None` if nothing is known to be.
     pub damage: Option<String>,
 }
@@ -122,6 +124,9 @@ impl SessionView {
             metres_per_unit,
             last_frame,
             counts,
+            map,
+            camera_id: _,
+            last_camera: _,
         } = record;
         let durable_sequence = last_frame.map(|(sequence, _)| sequence);
         Self {
@@ -146,6 +151,7 @@ impl SessionView {
             last_timestamp_ns: last_frame.map(|(_, timestamp_ns)| timestamp_ns),
             loaded: false,
             has_writer: false,
+            map,
             damage: None,
         }
     }

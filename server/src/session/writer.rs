@@ -249,7 +249,7 @@ mod tests {
     use super::*;
     use crate::error::ErrorCode;
     use slam::Map;
-    use slam::map::{FrameRecord, FrameState, MapChanges};
+    use slam::map::{CameraId, FrameRecord, FrameState, MapChanges};
     use std::sync::Mutex;
     use std::sync::atomic::{AtomicBool, Ordering};
     use tokio::sync::Notify;
@@ -282,6 +282,7 @@ mod tests {
 
     fn update(sequence: u64) -> MapUpdate {
         let frame = FrameRecord {
+            camera: CameraId::default(),
             sequence,
             timestamp_ns: sequence as i64,
             state: FrameState::Initialising,

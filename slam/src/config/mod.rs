@@ -230,6 +230,14 @@ impl SlamConfig {
         camera.scaled(factor, height / f64::from(camera.height()))
     }
 
+    /// The configuration for a camera that is added to a map of this one: images are worked on as they are
+    /// where a border leaves little of them, and enlarged if they are small, whatever the map's own were.
+    #[must_use]
+    pub fn of_added_camera(&self) -> Self {
+        let enlarge_below_px = Self::default().enlarge_below_px;
+        Self { enlarge_for_border: false, enlarge_below_px, ..self.clone() }
+    }
+
     fn can_enlarge(&self, camera: &Camera) -> bool {
         ENLARGEMENT.saturating_mul(camera.width()) <= self.working_width_px
     }

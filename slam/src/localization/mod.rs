@@ -12,7 +12,7 @@ use crate::features::View;
 use crate::frame_result::FrameResult;
 use crate::front_end::{CameraState, FrontEnd};
 use crate::input::{ResumeError, SceneMask};
-use crate::map::{Map, MapParts};
+use crate::map::{Map, MapCamera, MapParts};
 use crate::report::{FrameReport, InitializationWait, LostReason, TrackingOutcome};
 use crate::tracking::{Located, Tracker};
 use geometry::nalgebra::{Matrix3, Matrix6, Vector3};
@@ -112,7 +112,8 @@ impl Localizer {
         config.relocalization.n_matched_neighbors = N_MATCHED_NEIGHBORS;
         config.orb.n_features *= MORE_FEATURES;
         let map = Map::from_parts(map)?;
-        let mut tracker = Tracker::new(config.clone(), config.working_camera(&camera), None)?;
+        let mut tracker =
+            Tracker::new(config.clone(), MapCamera::default(), config.working_camera(&camera), None)?;
         tracker.sync_map(&map);
         Ok(Self { config, camera, mask, map, tracker, clock })
     }

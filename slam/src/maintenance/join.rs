@@ -9,7 +9,8 @@ use crate::config::SlamConfig;
 use crate::cores;
 use crate::loops::{LoopCloser, Recognition};
 use crate::map::{
-    FramePose, FrameRecord, FrameState, Imported, KeyframeId, Map, MapError, MapParts, MapUpdate, SubmapId,
+    CameraId, FramePose, FrameRecord, FrameState, Imported, KeyframeId, Map, MapError, MapParts, MapUpdate,
+    SubmapId,
 };
 use crate::report::MapEvent;
 use crate::work::{Stretch, Work};
@@ -185,7 +186,15 @@ impl Shifts {
             let pose: Option<FramePose> =
                 frame.place.as_ref().and_then(|(reference, pose)| from.place_beside(*reference, pose));
             let (state, backfilled, reason) = (frame.state, frame.backfilled, frame.reason.clone());
-            Ok(FrameRecord { sequence, timestamp_ns, state, pose, backfilled, reason })
+            Ok(FrameRecord {
+                camera: CameraId::default(),
+                sequence,
+                timestamp_ns,
+                state,
+                pose,
+                backfilled,
+                reason,
+            })
         };
         frames.iter().map(record).collect()
     }

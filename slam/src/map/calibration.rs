@@ -7,8 +7,8 @@ use std::sync::Arc;
 use vision::vanishing::{SegmentPlane, fit_direction};
 
 impl Map {
-    /// Takes over how the camera differs from its calibration. The rays of all keyframes change, and with
-    /// them the directions of their vanishing points. Poses and landmarks are left as they are. A correction
+    /// Takes over how the map's own camera differs from its calibration. The rays of all keyframes of that
+    /// calibration change, and with them the directions of their vanishing points. Poses and landmarks are left as they are. A correction
     /// that leaves no camera is refused.
     pub(crate) fn set_correction(&mut self, correction: CameraCorrection) {
         if !correction.leaves_a_camera() {
@@ -20,7 +20,8 @@ impl Map {
         }
         self.changes.correction = true;
         let turned = correction.corrected_from_nominal() * before.nominal_from_corrected();
-        let ids: Vec<KeyframeId> = self.keyframes().map(|keyframe| keyframe.id).collect();
+        let refined = self.keyframes().filter(|keyframe| keyframe.camera.is_refined);
+        let ids: Vec<KeyframeId> = refined.map(|keyframe| keyframe.id).collect();
         for id in ids {
             self.edit_keyframe(id, |keyframe| {
                 adapt(keyframe, &correction);
@@ -77,7 +78,7 @@ fn fit_again(vanishing: &mut VanishingObservation, features: &FrameFeatures) {
 
 /// Has a keyframe's rays be those of the corrected camera.
 pub(super) fn adapt(keyframe: &mut Keyframe, correction: &CameraCorrection) {
-    if !keyframe.features.has_correction(correction) {
+    if keyframe.camera.is_refined && !keyframe.features.has_correction(correction) {
         keyframe.features = Arc::new(keyframe.features.with_correction(correction));
     }
 }

@@ -1,6 +1,6 @@
 //! What changed in a map since it was last handed out.
 
-use super::{KeyframeId, LineId, Map, PointId, PrimitiveId, SubmapId};
+use super::{CameraId, KeyframeId, LineId, Map, PointId, PrimitiveId, SubmapId};
 use geometry::Pose;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -84,6 +84,8 @@ pub enum FrameState {
 /// One frame's place in the trajectory, relative to a keyframe so that it moves when the map is corrected.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameRecord {
+    /// The camera that took it.
+    pub camera: CameraId,
     /// The client's number of the frame.
     pub sequence: u64,
     /// The client's time of the frame, nanoseconds.

@@ -60,6 +60,17 @@ id!(
     PrimitiveId, "g"
 );
 
+/// One of the cameras that a map is made with: 0 is the map's own, others were added. A number is not given
+/// twice.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct CameraId(pub u32);
+
+impl fmt::Display for CameraId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
 /// A connected piece of map with one frame of reference. A session starts with submap 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SubmapId(pub u32);

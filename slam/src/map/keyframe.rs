@@ -1,10 +1,27 @@
 //! Keyframes: the frames a map is made of.
 
-use super::ids::{KeyframeId, LineId, PointId, SubmapId};
+use super::ids::{CameraId, KeyframeId, LineId, PointId, SubmapId};
 use super::primitive::VanishingObservation;
 use crate::features::FrameFeatures;
 use geometry::Pose;
 use std::sync::Arc;
+
+/// The camera that took something.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MapCamera {
+    /// Which of the map's cameras.
+    pub id: CameraId,
+    /// Whether it has the calibration of the map's own camera, so that what the map finds out about that holds
+    /// for it too. Another calibration is used as it was given.
+    pub is_refined: bool,
+}
+
+impl Default for MapCamera {
+    /// The map's own.
+    fn default() -> Self {
+        Self { id: CameraId::default(), is_refined: true }
+    }
+}
 
 /// A frame kept in the map, with what was measured in it and which landmarks it sees.
 #[derive(Clone, Debug)]
@@ -13,6 +30,8 @@ pub struct Keyframe {
     pub id: KeyframeId,
     /// The submap whose frame of reference the pose is in.
     pub submap: SubmapId,
+    /// The camera that took it. Numbers and times of frames are each camera's own.
+    pub camera: MapCamera,
     /// The client's number of the frame.
     pub sequence: u64,
     /// The client's time of the frame, nanoseconds.
@@ -39,8 +58,8 @@ pub struct Keyframe {
 }
 
 impl Keyframe {
-    /// A keyframe of stored parts that sees no landmark yet: fill `points`, `lines` and `vanishing`
-    /// afterwards.
+    /// A keyframe of stored parts, taken by the map's own camera, that sees no landmark yet: fill `points`,
+    /// `lines` and `vanishing` afterwards.
     pub fn from_parts(
         id: KeyframeId,
         submap: SubmapId,
@@ -55,6 +74,7 @@ impl Keyframe {
         Self {
             id,
             submap,
+            camera: MapCamera::default(),
             sequence,
             timestamp_ns,
             camera_from_world,

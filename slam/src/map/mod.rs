@@ -26,9 +26,9 @@ mod tests;
 pub use changes::{FramePose, FrameRecord, FrameState, MapChanges, MapUpdate};
 pub(crate) use depth::median_depth;
 pub(crate) use edit_lines::LinePlace;
-pub use ids::{KeyframeId, LineId, PointId, PrimitiveId, SubmapId};
+pub use ids::{CameraId, KeyframeId, LineId, PointId, PrimitiveId, SubmapId};
 pub(crate) use import::Imported;
-pub use keyframe::{Keyframe, RemovedKeyframe};
+pub use keyframe::{Keyframe, MapCamera, RemovedKeyframe};
 pub use line::LineLandmark;
 pub use point::{Observation, PointLandmark};
 pub use primitive::{GlobalPrimitive, PrimitiveObservation, VanishingObservation};
@@ -200,9 +200,25 @@ impl Map {
         }
     }
 
-    /// How the camera differs from its calibration. All keyframes are of this camera.
+    /// How the map's own camera differs from its calibration.
     pub fn correction(&self) -> CameraCorrection {
         self.correction
+    }
+
+    /// How one of the map's cameras differs from its calibration.
+    pub fn correction_of(&self, camera: MapCamera) -> CameraCorrection {
+        if camera.is_refined { self.correction } else { CameraCorrection::default() }
+    }
+
+    /// Keyframes made since `id`, up to and with `newest`, by the camera that took `id`; counting ends beyond
+    /// `limit`. Of removed ones nobody knows whose they were, and they count.
+    pub(crate) fn age(&self, id: KeyframeId, newest: KeyframeId, limit: u64) -> u64 {
+        let camera = self.keyframe(id).or_else(|| self.keyframe(newest)).map(|keyframe| keyframe.camera.id);
+        let is_of_another =
+            |idx: &usize| self.keyframes.get(*idx).is_some_and(|other| Some(other.camera.id) != camera);
+        let since = (id.index() + 1..newest.index() + 1).rev();
+        let counted = since.filter(|idx| !is_of_another(idx));
+        counted.take(limit.saturating_add(1) as usize).count() as u64
     }
 
     /// Whether the images were found to contradict the calibration by more than it may be corrected.

@@ -11,7 +11,7 @@ const N_REDUNDANT_OBSERVERS: usize = 3;
 /// Largest difference between the units of a culled keyframe and of the one that takes its place, as a
 /// logarithm.
 const MAX_LOCAL_SCALE_STEP: f64 = 0.05;
-/// Keyframes of a submap that are never culled, counted from the newest: they carry the tracking.
+/// Keyframes of a camera that are never culled, counted from the newest: they carry the tracking.
 const N_PROTECTED: u64 = 2;
 
 /// Judges young points: out if rarely found, or not seen by three keyframes soon enough.
@@ -23,7 +23,7 @@ pub(super) fn cull_recent_points(
 ) {
     recent.retain(|id| {
         let Some(point) = map.point(*id) else { return false };
-        let age = newest.get().saturating_sub(point.created_by.get());
+        let age = map.age(point.created_by, newest, config.probation_keyframes);
         let unreliable = point.found_ratio() < config.min_found_ratio;
         let unconfirmed = age >= config.probation_keyframes && point.observations.len() < MIN_OBSERVATIONS;
         if unreliable || unconfirmed {
@@ -87,7 +87,7 @@ fn is_protected(map: &Map, id: KeyframeId, newest: KeyframeId) -> bool {
         (keyframe.local_scale / parent.local_scale).ln().abs() < MAX_LOCAL_SCALE_STEP
     };
     let is_held = !keyframe.zip(parent).is_some_and(|(keyframe, parent)| same_unit(keyframe, parent));
-    is_held || newest.get() - id.get().min(newest.get()) <= N_PROTECTED
+    is_held || map.age(id, newest, N_PROTECTED) <= N_PROTECTED
 }
 
 fn remove(map: &mut Map, id: KeyframeId) {

@@ -1,11 +1,13 @@
 //! Rolling shutter: looking for a readout that was not told, and taking it out of what the keyframes
 //! measured. [method: Rolling shutter]
+//!
+//! All of it concerns the map's own camera: what an added one measured is taken as its frames had it.
 
 use super::NewKeyframe;
 use crate::bundle::global::{GlobalResult, adjust};
 use crate::bundle::readout::{HeldOutReadout, ReadoutEstimate, Rolling};
 use crate::config::{RollingShutterConfig, SlamConfig};
-use crate::map::{FramePose, FrameRecord, Keyframe, KeyframeId, Map, Readout, SubmapId};
+use crate::map::{CameraId, FramePose, FrameRecord, Keyframe, KeyframeId, Map, Readout, SubmapId};
 use crate::rolling_shutter::{MotionLog, Motions, RollingShutter, Velocity};
 use crate::tracking::frame::TrackedFrame;
 use geometry::nalgebra::Vector2;
@@ -61,12 +63,17 @@ impl ReadoutMonitor {
 
     /// Takes note of frames that were placed in this map.
     pub fn note(&mut self, records: &[FrameRecord], map: &Map) {
-        self.log.note(records, map);
+        if records.iter().all(|record| record.camera == CameraId::default()) {
+            self.log.note(records, map);
+        }
     }
 
     /// Takes note of frames that were placed in this map, the last of which becomes a keyframe of it.
     pub fn note_keyframe(&mut self, new: &NewKeyframe, map: &Map) {
         let NewKeyframe { keyframe, place, frames, .. } = new;
+        if !is_own(keyframe) {
+            return;
+        }
         let as_tracked = |record: &FrameRecord| match record.pose {
             Some(pose) if pose.reference == keyframe.id => {
                 FrameRecord { pose: Some(*place), ..record.clone() }
@@ -83,7 +90,8 @@ impl ReadoutMonitor {
     pub fn look(&self, map: &Map, submap: SubmapId) -> Option<ReadoutLook> {
         let motions = || self.log.motions(map.keyframes_of(submap));
         let (shutter, before_ns) = (&self.shutter, self.last_ns);
-        self.is_looked_for.then(|| ReadoutLook { shutter: shutter.clone(), motions: motions(), before_ns })
+        let is_looked_for = self.is_looked_for && map.keyframes_of(submap).all(is_own);
+        is_looked_for.then(|| ReadoutLook { shutter: shutter.clone(), motions: motions(), before_ns })
     }
 
     /// Takes note of what the last look found, and of the readout if it is to be taken over.
@@ -101,10 +109,17 @@ impl ReadoutMonitor {
             return;
         }
         let is_rolled = |keyframe: &&Keyframe| another || keyframe.features.unrolled == Velocity::zeros();
-        let is_open = |keyframe: &&Keyframe| is_rolled(keyframe) && !self.stored.contains(&keyframe.id);
+        let is_open = |keyframe: &&Keyframe| {
+            is_own(keyframe) && is_rolled(keyframe) && !self.stored.contains(&keyframe.id)
+        };
         let motions = self.log.motions(map.keyframes().filter(is_open));
         unroll_keyframes(map, &self.shutter, &motions);
     }
+}
+
+/// Whether the map's own camera took it.
+fn is_own(keyframe: &Keyframe) -> bool {
+    keyframe.camera.id == CameraId::default()
 }
 
 impl ReadoutLook {

@@ -1,13 +1,18 @@
 //! Where mapping runs: on the caller's thread, or on one of its own beside tracking.
 //!
-//! Either way requests are carried out in order, and tracking sees the result as immutable snapshots.
+//! Either way requests are carried out in order, and tracking sees the result as immutable snapshots. Several
+//! cameras may have the same map extended, each with a stage of its own.
+
+mod cameras;
 
 use super::{InitialMap, Mapper, NewKeyframe};
 use crate::cores::{self, Share};
-use crate::map::{FrameRecord, Map, MapUpdate, SubmapId};
+use crate::map::{CameraId, FrameRecord, KeyframeId, Map, MapUpdate, SubmapId};
 use crate::report::{LineJudgement, MapEvent};
+use crate::submaps::SubmapNumbers;
+use cameras::{Cameras, OneCamera};
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -23,27 +28,40 @@ const MAX_WAITING_JUDGEMENTS: usize = 4096;
 /// Mapping that has nothing to do answers at once: who waits longer lets others work meanwhile.
 const AT_ONCE: Duration = Duration::from_millis(1);
 
-/// Mapping as the pipeline sees it.
-pub(crate) enum MappingStage {
-    Inline { mapper: Box<Mapper>, shared: Shared },
+/// Mapping as one camera's pipeline sees it.
+pub(crate) struct MappingStage {
+    camera: Arc<OneCamera>,
+    core: MappingCore,
+}
+
+/// Mapping of one map, whichever cameras it is for. Clones are of the same map.
+#[derive(Clone)]
+pub(crate) struct MappingCore {
+    runner: Arc<Runner>,
+    shared: Shared,
+}
+
+enum Runner {
+    Inline(Mutex<Mapper>),
     Background(Background),
 }
 
-/// What mapping hands to tracking.
+/// What mapping hands to tracking, and what cameras share besides.
 #[derive(Clone)]
-pub(crate) struct Shared {
+struct Shared {
     newest: Arc<Mutex<Arc<Map>>>,
     updates: Arc<Mutex<Vec<MapUpdate>>>,
-    events: Arc<Mutex<Vec<MapEvent>>>,
     line_judgements: Arc<Mutex<VecDeque<LineJudgement>>>,
+    cameras: Arc<Cameras>,
+    n_keyframe_ids: Arc<AtomicU64>,
+    submaps: Arc<SubmapNumbers>,
 }
 
 /// The mapping thread's other end.
-pub(crate) struct Background {
+struct Background {
     requests: Option<SyncSender<Request>>,
     n_pending: Arc<AtomicUsize>,
     abort: Arc<AtomicBool>,
-    shared: Shared,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -54,14 +72,16 @@ enum Request {
     Record(Vec<FrameRecord>),
     /// Waits for global bundle adjustment.
     Settle,
+    /// Goes on with this mapper, unless there is a map already; answered with whether it does.
+    Replace(Box<Mapper>, SyncSender<bool>),
     /// Answered when everything before it is done.
     Barrier(SyncSender<()>),
 }
 
-impl MappingStage {
+impl MappingCore {
     pub fn inline(mapper: Mapper) -> Self {
         let shared = Shared::new(mapper.map());
-        Self::Inline { mapper: Box::new(mapper), shared }
+        Self { runner: Arc::new(Runner::Inline(Mutex::new(mapper))), shared }
     }
 
     pub fn background(mapper: Mapper) -> std::io::Result<Self> {
@@ -76,96 +96,147 @@ impl MappingStage {
             let _joined = share.map(Share::enter);
             worker.run(incoming);
         })?;
-        Ok(Self::Background(Background {
-            requests: Some(requests),
-            n_pending,
-            abort,
-            shared,
-            thread: Some(thread),
-        }))
+        let background = Background { requests: Some(requests), n_pending, abort, thread: Some(thread) };
+        Ok(Self { runner: Arc::new(Runner::Background(background)), shared })
+    }
+
+    /// Mapping as this camera sees it.
+    pub fn stage_of(&self, camera: CameraId) -> MappingStage {
+        MappingStage { camera: self.shared.cameras.add(camera), core: self.clone() }
     }
 
     /// The newest consistent map.
     pub fn newest_map(&self) -> Arc<Map> {
-        lock(&self.shared().newest).clone()
+        lock(&self.shared.newest).clone()
     }
 
+    /// Numbers of submaps.
+    pub fn submap_numbers(&self) -> &SubmapNumbers {
+        &self.shared.submaps
+    }
+
+    fn request(&self, request: Request) {
+        match &*self.runner {
+            Runner::Inline(mapper) => {
+                // What a panic left half done must not be gone on with.
+                let mut mapper = mapper.lock().expect("mapping has ended by a panic");
+                self.shared.carry_out(&mut mapper, request, &AtomicBool::new(false));
+            }
+            Runner::Background(background) => background.send(request),
+        }
+    }
+}
+
+impl MappingStage {
+    /// Mapping of the map, whichever cameras it is for.
+    pub fn core(&self) -> &MappingCore {
+        &self.core
+    }
+
+    /// The newest consistent map.
+    pub fn newest_map(&self) -> Arc<Map> {
+        self.core.newest_map()
+    }
+
+    /// The number of the next keyframe.
+    pub fn next_keyframe_id(&self) -> KeyframeId {
+        let before = self.core.shared.n_keyframe_ids.fetch_add(1, Ordering::Relaxed);
+        KeyframeId::from_index(before as usize)
+    }
+
+    /// What there is to store, oldest first, whichever cameras it came from.
     pub fn take_updates(&self) -> Vec<MapUpdate> {
-        std::mem::take(&mut *lock(&self.shared().updates))
+        std::mem::take(&mut *lock(&self.core.shared.updates))
     }
 
-    /// Corrections of the map since the last call, oldest first.
+    /// Corrections of the map since this camera's last call, oldest first.
     pub fn take_events(&self) -> Vec<MapEvent> {
-        std::mem::take(&mut *lock(&self.shared().events))
+        self.camera.take_events()
     }
 
     /// Judgements of candidate lines since the last call, oldest first.
     pub fn take_line_judgements(&self) -> Vec<LineJudgement> {
-        std::mem::take(&mut *lock(&self.shared().line_judgements)).into()
+        std::mem::take(&mut *lock(&self.core.shared.line_judgements)).into()
     }
 
     /// Whether a keyframe would be taken in at once.
     pub fn is_idle(&self) -> bool {
-        match self {
-            Self::Inline { .. } => true,
-            Self::Background(background) => background.n_pending.load(Ordering::Acquire) == 0,
+        match &*self.core.runner {
+            Runner::Inline(_) => true,
+            Runner::Background(background) => background.n_pending.load(Ordering::Acquire) == 0,
         }
+    }
+
+    /// Notes that the camera has frames processed, until it [settles](Self::settle).
+    pub fn begin_frame(&self) {
+        self.camera.set_active(true);
+    }
+
+    /// Notes that the camera is followed in a submap.
+    pub fn visit(&self, submap: SubmapId) {
+        self.core.shared.cameras.visit(submap, self.camera.id);
+    }
+
+    /// Whether another camera has been in a submap: then it is not this one's to discard.
+    pub fn is_shared(&self, submap: SubmapId) -> bool {
+        let is_anothers = |other: CameraId| other != self.camera.id;
+        let map = self.newest_map();
+        let mut keyframes = map.keyframes_of(submap);
+        self.core.shared.cameras.were_in(submap).into_iter().any(is_anothers)
+            || keyframes.any(|keyframe| is_anothers(keyframe.camera.id))
     }
 
     /// Begins a map and waits until it is there.
     pub fn begin(&mut self, initial: InitialMap) {
-        self.request(Request::Begin(Box::new(initial)));
+        self.core.request(Request::Begin(Box::new(initial)));
         self.wait();
     }
 
     /// Takes in a keyframe. In the background, waits only while the queue is full. `hurry` cuts short the
     /// optimization that is under way.
     pub fn add_keyframe(&mut self, new: NewKeyframe, hurry: bool) {
-        if let Self::Background(background) = self {
+        if let Runner::Background(background) = &*self.core.runner {
             background.abort.fetch_or(hurry, Ordering::Relaxed);
         }
-        self.request(Request::AddKeyframe(Box::new(new)));
+        self.core.request(Request::AddKeyframe(Box::new(new)));
     }
 
     /// Removes a submap and waits until it is gone.
     pub fn discard(&mut self, submap: SubmapId) {
-        self.request(Request::Discard(submap));
+        self.core.request(Request::Discard(submap));
         self.wait();
     }
 
     /// Adds frames to the trajectory, after everything requested so far.
     pub fn record(&mut self, frames: Vec<FrameRecord>) {
-        self.request(Request::Record(frames));
+        self.core.request(Request::Record(frames));
     }
 
-    /// Waits until everything requested so far is done, and all that follows from it.
+    /// The camera pauses: waits until everything requested so far is done, and, if no other camera goes on,
+    /// all that follows from it.
     pub fn settle(&mut self) {
-        self.request(Request::Settle);
+        self.camera.set_active(false);
+        if !self.core.shared.cameras.is_any_active() {
+            self.core.request(Request::Settle);
+        }
         self.wait();
+    }
+
+    /// Goes on with another mapper, which has no map, unless there is a map already. Returns whether it does.
+    pub fn replace(&mut self, mapper: Mapper) -> bool {
+        let (answer, replaced) = sync_channel(1);
+        self.core.request(Request::Replace(Box::new(mapper), answer));
+        cores::wait(|| replaced.recv()).unwrap_or(false)
     }
 
     /// Waits until everything requested so far is done.
     pub fn wait(&mut self) {
-        if let Self::Background(background) = self {
+        if let Runner::Background(background) = &*self.core.runner {
             let (done, wait) = sync_channel(1);
             background.send(Request::Barrier(done));
             if let Err(RecvTimeoutError::Timeout) = wait.recv_timeout(AT_ONCE) {
                 let _ = cores::wait(|| wait.recv());
             }
-        }
-    }
-
-    fn request(&mut self, request: Request) {
-        match self {
-            Self::Inline { mapper, shared } => shared.carry_out(mapper, request, &AtomicBool::new(false)),
-            Self::Background(background) => background.send(request),
-        }
-    }
-
-    fn shared(&self) -> &Shared {
-        match self {
-            Self::Inline { shared, .. } => shared,
-            Self::Background(background) => &background.shared,
         }
     }
 }
@@ -219,8 +290,10 @@ impl Shared {
         Self {
             newest: Arc::new(Mutex::new(Arc::new(map.clone()))),
             updates: Arc::default(),
-            events: Arc::default(),
             line_judgements: Arc::default(),
+            cameras: Arc::default(),
+            n_keyframe_ids: Arc::new(AtomicU64::new(map.last_ids().keyframe)),
+            submaps: Arc::new(SubmapNumbers::after(map)),
         }
     }
 
@@ -231,6 +304,14 @@ impl Shared {
             Request::Discard(submap) => mapper.discard(submap),
             Request::Record(frames) => mapper.record(frames),
             Request::Settle => mapper.settle(),
+            Request::Replace(another, answer) => {
+                let is_empty = mapper.map().n_keyframes() == 0;
+                if is_empty {
+                    *mapper = *another;
+                }
+                let _ = answer.send(is_empty);
+                return;
+            }
             Request::Barrier(done) => {
                 // Whoever waits for mapping would see the camera change at one frame or the next, as chance
                 // has it.
@@ -246,7 +327,7 @@ impl Shared {
     }
 
     fn hand_out(&self, mapper: &mut Mapper, update: MapUpdate) {
-        lock(&self.events).append(&mut mapper.take_events());
+        self.cameras.tell(&mapper.take_events());
         let mut judgements = lock(&self.line_judgements);
         judgements.extend(mapper.take_line_judgements());
         let n_surplus = judgements.len().saturating_sub(MAX_WAITING_JUDGEMENTS);

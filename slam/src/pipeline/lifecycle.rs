@@ -1,16 +1,15 @@
 //! Opening, resuming and ending a session, and what it is asked for between frames.
 
-use super::Pipeline;
+use super::{JoinState, Pipeline, SharedMap};
 use crate::backfill::Backfill;
 use crate::clock::Clock;
-use crate::config::{ConfigError, SlamConfig, Threading};
+use crate::config::SlamConfig;
 use crate::cores;
 use crate::front_end::{CameraState, FrontEnd};
 use crate::initialization::Initializer;
 use crate::input::{ResumeError, ResumeState, SceneMask};
-use crate::map::{Map, MapUpdate};
+use crate::map::{CameraId, Map, MapCamera, MapUpdate};
 use crate::mapping::Mapper;
-use crate::mapping::stage::MappingStage;
 use crate::report::{LineJudgement, ObservedFrame};
 use crate::rolling_shutter::RollingShutter;
 use crate::submaps::SubmapPolicy;
@@ -21,11 +20,14 @@ use std::sync::Arc;
 use vision::GrayImage;
 use vision::mask::{Mask, black_border};
 
+/// Bits of a track's number below its camera's: at a thousand new tracks a frame they last for a year.
+const TRACK_BITS: u32 = 40;
+
 impl Pipeline {
     /// A session without a map.
     ///
     /// # Errors
-    /// [`ConfigError`] names the field of the configuration that cannot be used.
+    /// If the configuration cannot be used; the error names the field.
     pub fn new(config: SlamConfig, camera: Camera, clock: Arc<dyn Clock>) -> Result<Self, ResumeError> {
         Self::resume(config, camera, clock, ResumeState::default())
     }
@@ -40,45 +42,62 @@ impl Pipeline {
         clock: Arc<dyn Clock>,
         state: ResumeState,
     ) -> Result<Self, ResumeError> {
+        let ResumeState { map, last_frame, mask } = state;
+        let map = SharedMap::resume(config.clone(), &camera, map)?;
+        Self::join(&map, MapCamera::default(), (config, camera), clock, JoinState { last_frame, mask })
+    }
+
+    /// A session whose camera extends a map, beside others that may do so too. One that was added, and has
+    /// not been placed yet, is looked for in the map, and after a while begins a submap of its own beside it;
+    /// the two become one where they meet.
+    ///
+    /// An added camera works with images as they are, also where a border leaves little of them
+    /// ([`SlamConfig::enlarge_for_border`]).
+    ///
+    /// # Errors
+    /// If the configuration cannot be used.
+    pub fn join(
+        map: &SharedMap,
+        map_camera: MapCamera,
+        (config, camera): (SlamConfig, Camera),
+        clock: Arc<dyn Clock>,
+        state: JoinState,
+    ) -> Result<Self, ResumeError> {
+        let is_added = map_camera.id != CameraId::default();
+        let config = if is_added { config.of_added_camera() } else { config };
         config.validate()?;
-        let map = Map::from_parts(state.map)?;
-        // Numbers of tracks begin anew with each run and must not meet those of stored keyframes.
-        let segments = map.keyframes().flat_map(|keyframe| &keyframe.features.lines);
-        let first_track = segments.map(|segment| segment.track + 1).max().unwrap_or(0);
-        let mut front_end = FrontEnd::new(&config, &camera, first_track, state.mask)?;
-        front_end.correct_camera(map.correction());
+        let mapping = map.core.stage_of(map_camera.id);
+        let map = mapping.newest_map();
+        let mut front_end = FrontEnd::new(&config, &camera, first_track(&map, map_camera.id), state.mask)?;
+        front_end.correct_camera(map.correction_of(map_camera));
         let working_camera = config.working_camera(&camera);
-        let mapper = Mapper::new(config.clone(), &working_camera, map.clone())?;
-        let mapping = match config.threading {
-            Threading::Inline => MappingStage::inline(mapper),
-            Threading::Background => MappingStage::background(mapper).map_err(|error| ConfigError {
-                field: "threading",
-                reason: format!("the mapping thread cannot be started: {error}"),
-            })?,
-        };
-        let rolling_shutter = RollingShutter::of(&working_camera, readout_ns(&config, &map));
-        let mut tracker = Tracker::new(config.clone(), working_camera, rolling_shutter.clone())?;
+        let rolling_shutter = RollingShutter::of(&working_camera, readout_ns(&config, &map, map_camera));
+        let mut tracker = Tracker::new(config.clone(), map_camera, working_camera, rolling_shutter.clone())?;
         tracker.sync_map(&map);
         let is_empty = map.n_keyframes() == 0;
-        let is_camera_wrong = map.is_contradicted();
+        let submaps = if is_added {
+            SubmapPolicy::beside(config.submaps.clone(), mapping.core().submap_numbers())
+        } else {
+            SubmapPolicy::resume(config.submaps.clone(), &map)
+        };
         let mut pipeline = Self {
             camera,
+            map_camera,
             clock,
             front_end,
             mapping,
             tracker,
-            initializer: is_empty.then(|| Initializer::new(&config, true, rolling_shutter.clone())),
-            backfill: Backfill::new(config.clone(), rolling_shutter.clone()),
-            submaps: SubmapPolicy::resume(config.submaps.clone(), &map),
+            initializer: is_empty.then(|| Initializer::new(&config, !is_added, rolling_shutter.clone())),
+            backfill: Backfill::new(config.clone(), map_camera, rolling_shutter.clone()),
+            submaps,
             trajectory: TrajectoryLog::default(),
-            next_keyframe_idx: map.last_ids().keyframe,
-            map: Arc::new(map),
+            is_camera_wrong: map.is_contradicted() && map_camera.is_refined,
+            map,
             last_frame: state.last_frame,
             last_view: None,
-            is_camera_wrong,
             mapping_enabled: true,
             lossless: true,
-            has_resolution: !is_empty,
+            has_resolution: is_added || !is_empty,
             rolling_shutter,
             config,
         };
@@ -103,19 +122,32 @@ impl Pipeline {
         if !is_enlarged || self.config.enlarge_for_border || self.map.n_keyframes() > 0 {
             return;
         }
-        let config = SlamConfig { enlarge_for_border: true, ..self.config.clone() };
-        let (last_frame, mask) = (self.last_frame, self.mask().cloned());
-        let state = ResumeState { last_frame, mask, ..ResumeState::default() };
-        match Self::resume(config, self.camera.clone(), self.clock.clone(), state) {
-            Ok(anew) => {
+        match self.enlarged() {
+            Ok(Some(anew)) => {
                 let (mapping_enabled, lossless) = (self.mapping_enabled, self.lossless);
                 *self = Self { mapping_enabled, lossless, has_resolution: true, ..anew };
             }
+            // Another camera has begun the map meanwhile.
+            Ok(None) => {}
             Err(error) => tracing::warn!(%error, "images are worked on as they are"),
         }
     }
 
-    /// The map updates that are ready to be stored, oldest first. Call after each frame.
+    /// The same session of images that are enlarged for their border; `None` if there is a map already.
+    fn enlarged(&mut self) -> Result<Option<Self>, ResumeError> {
+        let config = SlamConfig { enlarge_for_border: true, ..self.config.clone() };
+        config.validate()?;
+        let mapper = Mapper::new(config.clone(), &config.working_camera(&self.camera), Map::default())?;
+        let state = JoinState { last_frame: self.last_frame, mask: self.mask().cloned() };
+        let map = SharedMap { core: self.mapping.core().clone() };
+        let camera = (config, self.camera.clone());
+        let anew = Self::join(&map, self.map_camera, camera, self.clock.clone(), state)?;
+        Ok(self.mapping.replace(mapper).then_some(anew))
+    }
+
+    /// The map updates that are ready to be stored, oldest first. Call after each frame. Where several
+    /// cameras extend the map they are those of all, in one order: whoever takes them hands them on before
+    /// another takes the next.
     pub fn take_updates(&mut self) -> Vec<MapUpdate> {
         self.mapping.take_updates()
     }
@@ -126,7 +158,8 @@ impl Pipeline {
         self.mapping.take_line_judgements()
     }
 
-    /// Lets mapping finish what it has begun and hands out every frame not yet in an update.
+    /// Lets mapping finish what it has begun and hands out every frame not yet in an update. While other
+    /// cameras of the map go on, what a recording's end brings about waits for the end of theirs.
     pub fn finish(&mut self) -> Vec<MapUpdate> {
         self.mapping.settle();
         self.sync_map();
@@ -188,7 +221,8 @@ impl Pipeline {
     /// Has what was found of the camera's shutter be taken out of what follows.
     pub(super) fn sync_rolling_shutter(&mut self) {
         let working_camera = self.config.working_camera(&self.camera);
-        let shutter = RollingShutter::of(&working_camera, readout_ns(&self.config, &self.map));
+        let shutter =
+            RollingShutter::of(&working_camera, readout_ns(&self.config, &self.map, self.map_camera));
         self.tracker.set_rolling_shutter(shutter.clone());
         self.backfill.set_rolling_shutter(shutter.clone());
         if let Some(initializer) = &mut self.initializer {
@@ -218,7 +252,15 @@ impl Pipeline {
 }
 
 /// The readout as it was told, or as it was found; 0 until then.
-fn readout_ns(config: &SlamConfig, map: &Map) -> i64 {
-    let found = map.readout().map_or(0, |readout| readout.readout_ns);
+fn readout_ns(config: &SlamConfig, map: &Map, camera: MapCamera) -> i64 {
+    let found = map.readout().filter(|_| camera.is_refined).map_or(0, |readout| readout.readout_ns);
     config.rolling_shutter.readout_ns.unwrap_or(found)
+}
+
+/// Where a camera's tracks of lines begin. Numbers of tracks begin anew with each run and must not meet those of
+/// stored keyframes; those of different cameras are ranges of their own.
+fn first_track(map: &Map, camera: CameraId) -> u64 {
+    let own = map.keyframes().filter(|keyframe| keyframe.camera.id == camera);
+    let tracks = own.flat_map(|keyframe| &keyframe.features.lines).map(|segment| segment.track + 1);
+    tracks.max().unwrap_or(0).max(u64::from(camera.0) << TRACK_BITS)
 }

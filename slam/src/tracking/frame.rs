@@ -1,7 +1,7 @@
 //! A frame while it is being tracked.
 
 use crate::features::{FrameFeatures, View};
-use crate::map::{FramePose, Keyframe, KeyframeId, LineId, Map, PointId, PrimitiveId, SubmapId};
+use crate::map::{FramePose, Keyframe, KeyframeId, LineId, Map, MapCamera, PointId, PrimitiveId, SubmapId};
 use crate::rolling_shutter::InverseDepths;
 use geometry::Pose;
 use geometry::nalgebra::Vector3;
@@ -111,11 +111,12 @@ impl TrackedFrame {
         (depth > 0.0).then(|| 1.0 / depth)
     }
 
-    /// Makes the frame a keyframe with the given identity.
-    pub fn to_keyframe(&self, id: KeyframeId, parent: Option<KeyframeId>) -> Keyframe {
+    /// Makes the frame, which `camera` took, a keyframe with the given identity.
+    pub fn to_keyframe(&self, id: KeyframeId, camera: MapCamera, parent: Option<KeyframeId>) -> Keyframe {
         Keyframe {
             id,
             submap: self.submap,
+            camera,
             sequence: self.sequence,
             timestamp_ns: self.timestamp_ns,
             camera_from_world: self.camera_from_world,

@@ -19,7 +19,7 @@ mod unrolling;
 use crate::config::{ConfigError, SlamConfig};
 use crate::features::View;
 use crate::landmarks::VisibilityCounts;
-use crate::map::{Map, SubmapId};
+use crate::map::{Map, MapCamera, SubmapId};
 use crate::report::{LostReason, TrackingOutcome};
 use crate::rolling_shutter::RollingShutter;
 use alignment::Aligner;
@@ -54,6 +54,8 @@ pub(crate) struct Tracked {
 /// Follows the camera in a map that it only reads.
 pub(crate) struct Tracker {
     config: SlamConfig,
+    /// Whose frames it follows.
+    camera: MapCamera,
     local_map: LocalMap,
     line_tracks: LineTracks,
     primitive_tracks: PrimitiveTracks,
@@ -85,12 +87,13 @@ impl Tracker {
     /// If the configuration of the search for vanishing points cannot be used.
     pub fn new(
         config: SlamConfig,
+        camera: MapCamera,
         working_camera: Camera,
         rolling_shutter: Option<RollingShutter>,
     ) -> Result<Self, ConfigError> {
         let relocalizer = Relocalizer::new(&config)?;
         let aligner = Aligner::new(working_camera, config.alignment.clone());
-        let follower = Self::follower(config, rolling_shutter);
+        let follower = Self { camera, ..Self::follower(config, rolling_shutter) };
         Ok(Self { relocalizer: Some(relocalizer), aligner: Some(aligner), ..follower })
     }
 
@@ -98,6 +101,7 @@ impl Tracker {
     pub fn follower(config: SlamConfig, rolling_shutter: Option<RollingShutter>) -> Self {
         Self {
             config,
+            camera: MapCamera::default(),
             rolling_shutter,
             local_map: LocalMap::default(),
             line_tracks: LineTracks::default(),
@@ -138,7 +142,7 @@ impl Tracker {
             relocalizer.update(map);
         }
         if let Some(aligner) = &mut self.aligner {
-            aligner.correct_camera(map.correction());
+            aligner.correct_camera(map.correction_of(self.camera));
         }
         self.line_tracks.update(map);
         self.primitive_tracks.update(map);

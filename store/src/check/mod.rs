@@ -7,7 +7,7 @@ mod primitives;
 mod taken;
 
 use crate::engine::{Connection, query};
-use crate::{Store, StoreError};
+use crate::{SessionCounts, SessionRecord, Store, StoreError};
 use slam::map::KeyframeId;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -180,7 +180,13 @@ async fn check_session(
     let row =
         query("SELECT * FROM sessions WHERE number = $1").bind(session).fetch_one(&mut *connection).await?;
     let record = problems.note(crate::session::parse_session(&row))?;
+    if let Some((_, record)) = &record
+        && record.map.is_some()
+    {
+        return check_added(connection, (session, record), problems).await;
+    }
     let measured = poses::check_keyframes(connection, session, problems).await?;
+    check_cameras(connection, session, problems).await?;
     poses::check_removed(connection, session, problems).await?;
     let n_points = points::check_points(connection, session, &measured, problems).await?;
     let primitives = primitives::check_primitives(connection, session, &measured, problems).await?;
@@ -201,6 +207,52 @@ async fn check_session(
     }
     if record.last_frame != last_frame {
         problems.add(format!("it claims {:?} as its last frame but has {last_frame:?}", record.last_frame));
+    }
+    Ok(())
+}
+
+/// Checks that keyframes are of cameras that are known.
+async fn check_cameras(
+    connection: &mut Connection,
+    session: i64,
+    problems: &mut Findings,
+) -> Result<(), StoreError> {
+    let unknown: Vec<i64> = query(
+        "SELECT id FROM keyframes k WHERE session = $1 AND camera <> 0
+         AND NOT EXISTS (SELECT 1 FROM added_cameras a WHERE a.session = k.session AND a.camera = k.camera) ORDER BY id",
+    )
+    .bind(session)
+    .scalars(connection)
+    .await?;
+    unknown
+        .iter()
+        .for_each(|id| problems.add(format!("keyframe {id} is of a camera that nothing is known of")));
+    Ok(())
+}
+
+/// Checks a session whose camera extends the map of another, which is checked with that.
+async fn check_added(
+    connection: &mut Connection,
+    (session, record): (i64, &SessionRecord),
+    problems: &mut Findings,
+) -> Result<(), StoreError> {
+    problems.note(record.checked_camera())?;
+    let (n_frames, last_frame) = poses::check_frames(connection, session, problems).await?;
+    if record.counts.n_frames != n_frames {
+        problems.add(format!("it claims {} frames but has {n_frames}", record.counts.n_frames));
+    }
+    if record.last_frame != last_frame {
+        problems.add(format!("it claims {:?} as its last frame but has {last_frame:?}", record.last_frame));
+    }
+    let map = query("SELECT * FROM sessions WHERE id = $1 AND map IS NULL").bind(record.map.as_deref());
+    let Some(map) = map.fetch_optional(connection).await? else {
+        problems.add("the session whose map it extends is not there");
+        return Ok(());
+    };
+    let Some((_, map)) = problems.note(crate::session::parse_session(&map))? else { return Ok(()) };
+    let of_map = |record: &SessionRecord| SessionCounts { n_frames: 0, ..record.counts };
+    if of_map(record) != of_map(&map) {
+        problems.add(format!("it claims {:?} of a map that has {:?}", of_map(record), of_map(&map)));
     }
     Ok(())
 }

@@ -2,10 +2,10 @@
 
 use super::geometry::{meets_ball, meets_box};
 use super::{LINE_COLUMNS, parse_line};
+use crate::cameras::map_number;
 use crate::engine::{Connection, query};
 use crate::points::cell::{MAX_POINT_ID, point_of_key};
 use crate::points::{push_cell_keys, region};
-use crate::session::session_number;
 use crate::{Bounds, Page, Store, StoreError};
 use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
 use nalgebra::Vector3;
@@ -52,7 +52,7 @@ impl Store {
         page_size: u32,
     ) -> Result<Page<LineLandmark, LineId>, StoreError> {
         let mut reader = self.reader().await?;
-        let number = session_number(&mut reader, session).await?;
+        let number = map_number(&mut reader, session).await?;
         let after = after.map_or(0, |id| id.get().min(MAX_POINT_ID) as i64);
         let mut cursor = LineCursor::new(&mut reader, number, *query, after).await?;
         let mut lines = Vec::new();
@@ -77,7 +77,7 @@ impl Store {
         query: LineQuery,
     ) -> Result<BoxStream<'static, Result<LineLandmark, StoreError>>, StoreError> {
         let mut reader = self.reader().await?;
-        let number = session_number(&mut reader, session).await?;
+        let number = map_number(&mut reader, session).await?;
         let cursor = LineCursor::new(&mut reader, number, query, 0).await?;
         Ok(cursor.stream(self.clone()))
     }
@@ -91,7 +91,7 @@ impl Store {
         session: &str,
         ids: &BTreeSet<LineId>,
     ) -> Result<BoxStream<'static, Result<LineLandmark, StoreError>>, StoreError> {
-        let session = session_number(&mut self.reader().await?, session).await?;
+        let session = map_number(&mut self.reader().await?, session).await?;
         let ids: Vec<i64> = ids.iter().map(|id| id.get().min(MAX_POINT_ID) as i64).collect();
         let (query, candidates) = (LineQuery::default(), Some(ids.into_iter()));
         Ok(LineCursor { session, query, after: 0, candidates }.stream(self.clone()))

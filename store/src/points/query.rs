@@ -2,8 +2,8 @@
 
 use super::cell::{MAX_POINT_ID, cell_key, point_of_key};
 use super::{Form, PLACED, PlacedPoint, WHOLE};
+use crate::cameras::map_number;
 use crate::engine::{Connection, Query, Row, query};
-use crate::session::session_number;
 use crate::{Page, Store, StoreError};
 use futures_util::stream::{self, BoxStream, StreamExt, TryStreamExt};
 use nalgebra::Vector3;
@@ -160,7 +160,7 @@ impl Store {
         page_size: u32,
     ) -> Result<Page<T, PointId>, StoreError> {
         let mut reader = self.reader().await?;
-        let number = session_number(&mut reader, session).await?;
+        let number = map_number(&mut reader, session).await?;
         let after = after.map_or(0, |id| id.get().min(MAX_POINT_ID) as i64);
         let points = select_points(&mut reader, form, number, query, after, page_size as usize + 1).await?;
         Ok(Page::of(points, page_size, form.id))
@@ -175,7 +175,7 @@ impl Store {
         session: &str,
         ids: &BTreeSet<PointId>,
     ) -> Result<BoxStream<'static, Result<PointLandmark, StoreError>>, StoreError> {
-        let number = session_number(&mut self.reader().await?, session).await?;
+        let number = map_number(&mut self.reader().await?, session).await?;
         let ids: Vec<i64> = ids.iter().map(|id| id.get().min(MAX_POINT_ID) as i64).collect();
         Ok(Cursor::of(self.clone(), &WHOLE, number, PointQuery::default(), Some(ids.into_iter())).stream())
     }
@@ -214,7 +214,7 @@ impl Store {
         query: PointQuery,
     ) -> Result<BoxStream<'static, Result<T, StoreError>>, StoreError> {
         let mut reader = self.reader().await?;
-        let number = session_number(&mut reader, session).await?;
+        let number = map_number(&mut reader, session).await?;
         let candidates = match query.region() {
             Some(region) => Some(select_candidates(&mut reader, number, &region).await?.into_iter()),
             None => None,

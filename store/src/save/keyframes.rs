@@ -3,10 +3,10 @@
 use super::KeyframeImage;
 use crate::StoreError;
 use crate::blob::encode_features;
+use crate::cameras::MapSessions;
 use crate::engine::{Connection, MultiRow, ids, query};
 use crate::number::{keyframe_column, to_column};
 use crate::pose::{finite, finite_pose_columns};
-use crate::segments::Segments;
 use slam::Keyframe;
 use slam::map::{KeyframeId, MapUpdate, RemovedKeyframe};
 use std::collections::BTreeSet;
@@ -14,7 +14,7 @@ use std::collections::BTreeSet;
 const KEYFRAME_ROWS: MultiRow<'static> = MultiRow {
     table: "keyframes",
     columns: "session, id, submap, sequence, timestamp_ns, qx, qy, qz, qw, tx, ty, tz, unit, \
-              parent, n_keypoints, n_points, n_segments, n_lines",
+              parent, n_keypoints, n_points, n_segments, n_lines, camera",
     conflict: "ON CONFLICT (session, id) DO UPDATE SET submap = excluded.submap, qx = excluded.qx, \
                qy = excluded.qy, qz = excluded.qz, qw = excluded.qw, tx = excluded.tx, ty = excluded.ty, \
                tz = excluded.tz, unit = excluded.unit, parent = excluded.parent, n_points = excluded.n_points, \
@@ -40,7 +40,7 @@ pub(super) async fn write_keyframes(
     connection: &mut Connection,
     session: i64,
     update: &MapUpdate,
-    segments: &Segments,
+    sessions: &MapSessions,
 ) -> Result<(), StoreError> {
     let changed: Vec<&Keyframe> =
         update.changes.keyframes.iter().filter_map(|id| update.map.keyframe(*id)).collect();
@@ -51,14 +51,16 @@ pub(super) async fn write_keyframes(
             columns.add(keyframe_column(keyframe.id)?)?;
             columns.add(i64::from(keyframe.submap.0))?;
             columns.add(to_column("sequence", keyframe.sequence)?)?;
-            columns.add(segments.client_ns(keyframe.sequence, keyframe.timestamp_ns))?;
+            let Keyframe { camera, sequence, timestamp_ns, .. } = *keyframe;
+            columns.add(sessions.client_ns(camera.id, *sequence, *timestamp_ns))?;
             pose.into_iter().try_for_each(|value| columns.add(value))?;
             columns.add(finite("a keyframe's unit", keyframe.local_scale)?)?;
             columns.add(keyframe.parent.map(keyframe_column).transpose()?)?;
             columns.add(keyframe.features.len() as i64)?;
             columns.add(keyframe.n_points() as i64)?;
             columns.add(keyframe.lines.len() as i64)?;
-            columns.add(keyframe.observed_lines().count() as i64)
+            columns.add(keyframe.observed_lines().count() as i64)?;
+            columns.add(i64::from(keyframe.camera.id.0))
         })
         .await?;
     delete_keyframes(connection, session, update).await

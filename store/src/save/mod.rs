@@ -6,6 +6,7 @@ mod lines;
 mod points;
 mod primitives;
 
+use crate::cameras::{MapSessions, write_map_counts};
 use crate::engine::{Connection, MultiRow, ids, postgres, query};
 use crate::number::to_column;
 use crate::open::WriteTransaction;
@@ -16,7 +17,7 @@ use crate::session::{
 };
 use crate::{Store, StoreError};
 
-use slam::map::{FrameRecord, FrameState, KeyframeId, LineLandmark, MapUpdate, PointLandmark};
+use slam::map::{CameraId, FrameRecord, FrameState, KeyframeId, LineLandmark, MapUpdate, PointLandmark};
 
 /// What the session's row says after an update, besides what the map tells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,7 +40,7 @@ pub struct KeyframeImage {
 /// What is durable after a commit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Committed {
-    /// Every frame handed over so far up to this sequence number is in the database; `None` before the first.
+    /// Every frame of the map's own camera handed over so far up to this sequence number is in the database; `None` before the first.
     pub last_sequence: Option<u64>,
     /// How many things the session has now.
     pub counts: SessionCounts,
@@ -52,8 +53,9 @@ const CONFLICT_RETRIES: usize = 3;
 impl Store {
     /// Stores an update in one transaction: all of it is in the database afterwards, or none of it.
     ///
-    /// Writes the rows that `update.changes` names, as they are in `update.map`, and `update.frames`. Images
-    /// of keyframes that are no longer in the map are left out. After an error the database is as it was and
+    /// Writes the rows that `update.changes` names, as they are in `update.map`, and `update.frames`, each to
+    /// the session whose camera took it; frames of sessions that were deleted are left out, and so are images
+    /// that are no longer in the map. After an error the database is as it was and
     /// the same update, alone or merged with later ones, can be tried again.
     ///
     /// # Errors
@@ -127,11 +129,11 @@ async fn write_update(
     images: &[KeyframeImage],
 ) -> Result<Committed, StoreError> {
     let (number, before) = transaction.hold(session).await?;
-    let segments = Segments::read(transaction, number).await?;
+    let sessions = MapSessions::read(transaction, (number, &before)).await?;
 
     landmarks::delete::<PointLandmark>(transaction, number, update).await?;
     landmarks::delete::<LineLandmark>(transaction, number, update).await?;
-    keyframes::write_keyframes(transaction, number, update, &segments).await?;
+    keyframes::write_keyframes(transaction, number, update, &sessions).await?;
     keyframes::write_features(transaction, number, update).await?;
     keyframes::write_images(transaction, number, update, images).await?;
     primitives::write_vanishing(transaction, number, update).await?;
@@ -144,9 +146,10 @@ async fn write_update(
     if update.changes.enlarged {
         write_enlarged(transaction, number).await?;
     }
-    let n_new_frames = write_frames(transaction, number, &update.frames, &segments).await?;
-
-    let newest = update.frames.iter().max_by_key(|frame| frame.sequence);
+    let frames = frames_of(update, CameraId::default());
+    let newest = frames.iter().max_by_key(|frame| frame.sequence).copied();
+    let segments = &sessions.own;
+    let n_new_frames = write_frames(transaction, number, frames, segments).await?;
     let newest = newest.map(|frame| (frame.sequence, segments.client_ns(frame.sequence, frame.timestamp_ns)));
     let last_frame = before.last_frame.max(newest);
     let counts = SessionCounts {
@@ -158,7 +161,22 @@ async fn write_update(
         n_submaps: update.map.submaps().len() as u32,
     };
     write_progress(transaction, number, status.state, last_frame, update.map.last_ids(), &counts).await?;
+    for (camera, added) in &sessions.added {
+        let frames = frames_of(update, *camera);
+        if !frames.is_empty() {
+            let n_new = write_frames(transaction, added.number, frames.clone(), &added.segments).await?;
+            added.write_progress(transaction, &frames, n_new).await?;
+        }
+    }
+    if !sessions.added.is_empty() {
+        write_map_counts(transaction, (session, number), &counts, update.changes.correction).await?;
+    }
     Ok(Committed { last_sequence: last_frame.map(|(sequence, _)| sequence), counts })
+}
+
+/// The frames of an update that one camera took.
+fn frames_of(update: &MapUpdate, camera: CameraId) -> Vec<&FrameRecord> {
+    update.frames.iter().filter(|frame| frame.camera == camera).collect()
 }
 
 const FRAME_ROWS: MultiRow<'static> = MultiRow {
@@ -176,13 +194,12 @@ const FRAME_ROWS: MultiRow<'static> = MultiRow {
 async fn write_frames(
     connection: &mut Connection,
     session: i64,
-    frames: &[FrameRecord],
+    mut frames: Vec<&FrameRecord>,
     segments: &Segments,
 ) -> Result<u64, StoreError> {
     if frames.is_empty() {
         return Ok(0);
     }
-    let mut frames: Vec<&FrameRecord> = frames.iter().collect();
     // Of two records of a frame the later one holds, in this update as between updates.
     frames.reverse();
     frames.sort_by_key(|frame| frame.sequence);

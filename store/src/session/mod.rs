@@ -2,15 +2,15 @@
 
 mod json;
 
+use crate::cameras::{insert_added, read_map};
 use crate::engine::{Connection, Row, query};
 use crate::mask::write_mask;
 use crate::number::{from_column, from_column_u32, to_column};
 use crate::{Page, Store, StoreError};
 use geometry::{Camera, CameraCorrection, CameraParameters};
-use slam::map::{FrameState, LastIds, Readout};
+use slam::map::{CameraId, FrameState, LastIds, Readout};
 use slam::{Map, SceneMask};
 
-#[cfg(fuzzing)]
 pub(crate) use json::decode_camera;
 pub use json::{Calibration, SessionOptions};
 
@@ -27,6 +27,8 @@ pub struct NewSession {
     pub created_at_ns: i64,
     /// What of its images is not the scene, if that is known.
     pub mask: Option<SceneMask>,
+    /// The session whose map its camera extends; `None` if it has one of its own.
+    pub map: Option<String>,
 }
 
 /// A stored session.
@@ -61,6 +63,12 @@ pub struct SessionRecord {
     pub last_frame: Option<(u64, i64)>,
     /// How many things the session has.
     pub counts: SessionCounts,
+    /// The session whose map it is; `None` if it has one of its own.
+    pub map: Option<String>,
+    /// Which of the map's cameras it is.
+    pub camera_id: CameraId,
+    /// The highest number that a camera of its own map was given: 0 while no other extends it.
+    pub last_camera: CameraId,
 }
 
 /// How much of a session's images is left out.
@@ -99,25 +107,19 @@ pub struct SessionChanges {
 }
 
 impl Store {
-    /// Makes a session without a map.
+    /// Makes a session without a map, or one whose camera extends the map of another.
     ///
     /// # Errors
-    /// [`StoreError::SessionExists`] if the name is taken.
+    /// [`StoreError::SessionExists`] if the name is taken, [`StoreError::SessionNotFound`] if no session has
+    /// such a map.
     pub async fn create_session(&self, new: &NewSession) -> Result<SessionRecord, StoreError> {
         let mut transaction = self.begin_write().await?;
-        let inserted = query(
-            "INSERT INTO sessions (id, camera, options, created_at_ns, state, enlarges_small_images)
-             VALUES ($1, $2, $3, $4, $5, TRUE)
-             ON CONFLICT (id) DO NOTHING",
-        )
-        .bind(&new.id)
-        .bind(json::encode_camera(&new.camera)?)
-        .bind(json::encode_options(&new.options)?)
-        .bind(new.created_at_ns)
-        .bind(state_column(FrameState::Initialising))
-        .execute(&mut transaction)
-        .await?;
-        if inserted == 0 {
+        let (camera, options) = (json::encode_camera(&new.camera)?, json::encode_options(&new.options)?);
+        let is_new = match &new.map {
+            Some(map) => insert_added(&mut transaction, (new, map), (&camera, &options)).await?,
+            None => insert(&mut transaction, new, (&camera, &options)).await?,
+        };
+        if !is_new {
             return Err(StoreError::SessionExists { id: new.id.clone() });
         }
         if let Some(mask) = &new.mask {
@@ -233,9 +235,11 @@ impl Store {
                 .await?;
         }
         if let Some(scale) = changes.metres_per_unit {
-            query("UPDATE sessions SET metres_per_unit = $1 WHERE number = $2")
+            // The map's units are those of all its cameras.
+            query("UPDATE sessions SET metres_per_unit = $1 WHERE number = $2 OR map = $3")
                 .bind(scale)
                 .bind(number)
+                .bind(id)
                 .execute(&mut transaction)
                 .await?;
         }
@@ -268,6 +272,27 @@ impl SessionRecord {
     }
 }
 
+/// Makes a session with a map of its own; whether the name was free.
+async fn insert(
+    connection: &mut Connection,
+    new: &NewSession,
+    (camera, options): (&str, &str),
+) -> Result<bool, StoreError> {
+    let inserted = query(
+        "INSERT INTO sessions (id, camera, options, created_at_ns, state, enlarges_small_images)
+         VALUES ($1, $2, $3, $4, $5, TRUE)
+         ON CONFLICT (id) DO NOTHING",
+    )
+    .bind(&new.id)
+    .bind(camera)
+    .bind(options)
+    .bind(new.created_at_ns)
+    .bind(state_column(FrameState::Initialising))
+    .execute(connection)
+    .await?;
+    Ok(inserted > 0)
+}
+
 /// What stands behind every name that begins so.
 fn beyond(prefix: &str) -> String {
     format!("{prefix}{}", char::MAX)
@@ -295,6 +320,7 @@ pub(crate) fn parse_session(row: &Row) -> Result<(i64, SessionRecord), StoreErro
     let last_sequence: Option<i64> = row.try_get("last_sequence")?;
     let last_timestamp_ns: Option<i64> = row.try_get("last_timestamp_ns")?;
     let last_sequence = last_sequence.map(|value| from_column("a sequence", value)).transpose()?;
+    let (map, camera_id, last_camera) = read_map(row)?;
     let record = SessionRecord {
         id: row.try_get("id")?,
         camera: json::decode_camera(row.try_get("camera")?)?,
@@ -332,6 +358,9 @@ pub(crate) fn parse_session(row: &Row) -> Result<(i64, SessionRecord), StoreErro
             n_primitives: from_column("n_primitives", row.try_get("n_primitives")?)?,
             n_submaps: from_column_u32("n_submaps", row.try_get("n_submaps")?)?,
         },
+        map,
+        camera_id,
+        last_camera,
     };
     Ok((row.try_get("number")?, record))
 }

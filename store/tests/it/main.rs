@@ -22,6 +22,7 @@ macro_rules! on_either_engine {
 }
 
 mod backup;
+mod cameras;
 mod check;
 mod durability;
 mod graph;

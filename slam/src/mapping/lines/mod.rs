@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 const MIN_OBSERVATIONS: usize = 3;
 /// Views of a track that are looked at: the newest say the most, and pairs grow with the square.
 const MAX_TRACK_VIEWS: usize = 20;
-/// A track not seen for this many keyframes has ended.
+/// A track not seen for this many keyframes of its camera has ended.
 const MAX_TRACK_AGE: u64 = 5;
 
 /// Follows the tracks of segments through the keyframes and makes lines of them.
@@ -68,7 +68,7 @@ impl LineMapper {
             }
         }
         self.tracks.retain(|_, views| {
-            views.last().is_some_and(|seen| id.get().saturating_sub(seen.keyframe.get()) <= MAX_TRACK_AGE)
+            views.last().is_some_and(|seen| map.age(seen.keyframe, id, MAX_TRACK_AGE) <= MAX_TRACK_AGE)
         });
     }
 
@@ -116,7 +116,7 @@ impl LineMapper {
     fn cull_recent(&mut self, map: &mut Map, newest: KeyframeId, config: &SlamConfig) {
         self.recent.retain(|id| {
             let Some(line) = map.line(*id) else { return false };
-            let age = newest.get().saturating_sub(line.created_by.get());
+            let age = map.age(line.created_by, newest, config.lines.probation_keyframes);
             let unreliable = line.found_ratio() < config.lines.min_found_ratio;
             let unconfirmed =
                 age >= config.lines.probation_keyframes && line.observations.len() < MIN_OBSERVATIONS;
