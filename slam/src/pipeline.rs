@@ -2,6 +2,7 @@
 //! several cameras extend one map in `shared_map`.
 
 mod lifecycle;
+mod repeated;
 mod shared_map;
 
 pub use shared_map::{JoinState, SharedMap};
@@ -26,7 +27,9 @@ use crate::tracking::judgement::is_certain_enough;
 use crate::tracking::{Tracked, Tracker};
 use crate::trajectory::{TrajectoryLog, first_record};
 use geometry::{Camera, Pose};
+use repeated::LastImage;
 use std::sync::Arc;
+use vision::GrayImage;
 use vision::lines::LineTrackingStatistics;
 
 /// A monocular SLAM session: frames of one camera in, reports and map updates out.
@@ -54,6 +57,7 @@ pub struct Pipeline {
     last_frame: Option<(u64, i64)>,
     /// What the last frame measured, for whoever wants to see it.
     last_view: Option<View>,
+    last_image: LastImage,
     /// The images contradict the calibration.
     is_camera_wrong: bool,
     mapping_enabled: bool,
@@ -82,7 +86,14 @@ impl Pipeline {
     }
 
     fn process(&mut self, frame: Frame, mut stopwatch: Stopwatch) -> FrameReport {
-        let (mut view, line_statistics) = self.extract(frame, &mut stopwatch);
+        let image = Arc::new(self.front_end.working_image(frame.image));
+        let now = (frame.sequence, frame.timestamp_ns);
+        if self.tracker.image() == Some(&image)
+            && let Some((view, result)) = self.repeat(now, &mut stopwatch)
+        {
+            return self.report(&view, result, LineTrackingStatistics::default(), stopwatch);
+        }
+        let (mut view, line_statistics) = self.extract(image, now, &mut stopwatch);
         // A stream that comes as fast as it is taken would run ahead of the map, further than any camera
         // does: where new texture is all there is, what the newest keyframes add decides the scale.
         if self.lossless {
@@ -98,22 +109,36 @@ impl Pipeline {
             result = self.initialize(&view, result.n_candidates);
             stopwatch.lap("initialise");
         }
+        self.last_image.note(&result);
         self.record(&view, &result);
         result.is_keyframe |= self.extend(&view, &result);
         stopwatch.lap("extend");
         self.step_backfill(&view, &result);
         stopwatch.lap("backfill");
         self.last_view = Some(view.clone());
+        self.report(&view, result, line_statistics, stopwatch)
+    }
 
+    fn report(
+        &mut self,
+        view: &View,
+        mut result: FrameResult,
+        line_statistics: LineTrackingStatistics,
+        stopwatch: Stopwatch,
+    ) -> FrameReport {
         let submap = self.submaps.current();
         let events = self.mapping.take_events();
         self.note_camera(&events);
         result.outcome = self.outcome_told(result.outcome);
-        result.into_report(&view, submap, line_statistics, events, stopwatch.finish())
+        result.into_report(view, submap, line_statistics, events, stopwatch.finish())
     }
 
-    fn extract(&mut self, frame: Frame, stopwatch: &mut Stopwatch) -> (View, LineTrackingStatistics) {
-        let image = Arc::new(self.front_end.working_image(frame.image));
+    fn extract(
+        &mut self,
+        image: Arc<GrayImage>,
+        (sequence, timestamp_ns): (u64, i64),
+        stopwatch: &mut Stopwatch,
+    ) -> (View, LineTrackingStatistics) {
         if self.front_end.look_for_mask(&image)
             && let Some(initializer) = &mut self.initializer
         {
@@ -121,11 +146,10 @@ impl Pipeline {
             initializer.forget_views();
         }
         stopwatch.lap("mask");
-        let rotation = self.tracker.expected_rotation(frame.timestamp_ns);
+        let rotation = self.tracker.expected_rotation(timestamp_ns);
         self.front_end.set_camera_state(self.camera_state());
         let (features, statistics) = self.front_end.extract(&image, rotation, stopwatch);
         self.tracker.set_image(image);
-        let (sequence, timestamp_ns) = (frame.sequence, frame.timestamp_ns);
         (View { sequence, timestamp_ns, features: Arc::new(features) }, statistics)
     }
 
@@ -315,6 +339,10 @@ impl Pipeline {
     /// Notes the frame in the trajectory.
     fn record(&mut self, view: &View, result: &FrameResult) {
         self.trajectory.note(self.record_of(view, result), self.submaps.is_young(&self.map));
+        self.flush_full();
+    }
+
+    fn flush_full(&mut self) {
         if self.trajectory.is_full() {
             self.flush_records();
         }

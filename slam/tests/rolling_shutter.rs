@@ -103,3 +103,27 @@ fn a_global_shutter_is_left_alone() {
     assert_eq!(looked_at.map.readout(), None);
     assert_eq!(looked_at.trajectory, told.trajectory, "looking changes nothing");
 }
+
+/// A camera that has no new image at every third frame, and is answered for with its last.
+#[test]
+fn images_that_are_sent_again_are_where_they_were_taken_and_disturb_nothing() {
+    let (sequence, images) = room(READOUT_NS);
+    let distinct = map_room(&sequence, &images, None);
+    let shown = |index: usize| index - usize::from(index % 3 == 2);
+    let repeated: Vec<GrayImage> = (0..N_FRAMES).map(|index| images[shown(index)].clone()).collect();
+    let mapped = map_room(&sequence, &repeated, None);
+    assert_eq!(mapped.trajectory.len(), N_FRAMES, "every frame has a pose, those before the map as well");
+    for (number, pose) in &mapped.trajectory {
+        let of = shown(*number as usize) as u64;
+        assert_eq!(*pose, mapped.trajectory[&of], "frame {number} repeats frame {of}");
+    }
+    let taken = |mapped: &Mapped| {
+        let own = mapped.trajectory.iter().filter(|(number, _)| shown(**number as usize) as u64 == **number);
+        let truth = |number: u64| sequence.camera_from_world(number as usize).inverse();
+        evaluate(&own.map(|(number, pose)| (*number, *pose)).collect(), truth).unwrap().ate_rmse
+    };
+    let (ate, of_distinct) = (taken(&mapped), taken(&distinct));
+    assert!(ate < 1.5 * of_distinct, "{ate}, and {of_distinct} where every image is new");
+    let readout = mapped.map.readout().unwrap();
+    assert!((readout.readout_ns - READOUT_NS).abs() < READOUT_NS / 4, "{readout:?}");
+}

@@ -1,5 +1,6 @@
 //! Opening, resuming and ending a session, and what it is asked for between frames.
 
+use super::repeated::LastImage;
 use super::{JoinState, Pipeline, SharedMap};
 use crate::backfill::Backfill;
 use crate::clock::Clock;
@@ -95,6 +96,7 @@ impl Pipeline {
             map,
             last_frame: state.last_frame,
             last_view: None,
+            last_image: LastImage::default(),
             mapping_enabled: true,
             lossless: true,
             has_resolution: is_added || !is_empty,

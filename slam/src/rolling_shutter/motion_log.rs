@@ -41,10 +41,12 @@ struct Step {
 
 impl MotionLog {
     /// Takes note of frames that were placed, in the map that they were placed in; poor poses jump about and
-    /// are passed over.
+    /// are passed over, and so is an image that was sent twice, which is where it was to the last bit.
     pub fn note(&mut self, records: &[FrameRecord], map: &Map) {
         for record in records {
-            match record.pose.filter(|_| record.state == FrameState::Tracked) {
+            let before = self.frames.range(..record.timestamp_ns).next_back().map(|(_, before)| before.place);
+            let is_good = |place: &FramePose| record.state == FrameState::Tracked && before != Some(*place);
+            match record.pose.filter(is_good) {
                 Some(place) => self.frames.insert(record.timestamp_ns, Noted { place, from_before: None }),
                 None => self.frames.remove(&record.timestamp_ns),
             };

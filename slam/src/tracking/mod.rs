@@ -128,6 +128,11 @@ impl Tracker {
         self.image = Some(image);
     }
 
+    /// The image of the last frame.
+    pub fn image(&self) -> Option<&Arc<GrayImage>> {
+        self.image.as_ref()
+    }
+
     /// Starts following from a frame whose pose is known.
     pub fn start(&mut self, frame: TrackedFrame, map: &Map) {
         self.last_keyframe = Some(LastKeyframe::of(&frame));

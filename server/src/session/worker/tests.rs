@@ -1,6 +1,7 @@
 //! A session whose engine fails.
 
 use super::*;
+use crate::config::SessionConfig;
 use crate::session::frame::{Encoding, SentFrame};
 use crate::session::queue::Queued;
 use crate::session::writer;
@@ -64,7 +65,8 @@ struct Session {
 impl Session {
     async fn start(clock: Arc<FragileClock>) -> Self {
         let pipeline = Pipeline::new(SlamConfig::default(), camera(), clock).unwrap();
-        let (outbox, _saving) = writer::start(NoDisk, None, false, Duration::from_secs(1));
+        let (outbox, _saving) =
+            writer::start(NoDisk, None, writer::Pace::of(&SessionConfig::default(), false));
         let folder = tempfile::tempdir().unwrap();
         let options = store::StoreOptions::default();
         let store = store::Store::open(folder.path().join("maps"), options).await.unwrap();
