@@ -1,5 +1,6 @@
-//! Recordings as people make them, by phone, drone and car, and of weak texture: from which frame on the
-//! engine has a pose, how many frames get one, and how wrong they are. Folders of docs/datasets.md.
+//! Recordings as people make them, by phone, drone and car, of weak texture, and those of the laboratory: from
+//! which frame on the engine has a pose, how many frames get one, and how wrong they are. Folders of
+//! docs/datasets.md.
 
 use recordings::{EvaluationOptions, Recording, StampedPose, Trajectory, evaluate, find_folder};
 use slam::report::TrackingOutcome;
@@ -97,4 +98,26 @@ fn white_cloth_has_features() {
 #[ignore = "needs recordings: set MONOSLAM_DATA"]
 fn small_images_keep_their_scale() {
     assert_good("kitti_00_low_first400", 200, 10, 0.03);
+}
+
+/// Of a camera with a rolling shutter that nobody told, which repeats every eleventh image.
+#[test]
+#[ignore = "needs recordings: set MONOSLAM_DATA"]
+fn repeated_images_do_not_lose_the_camera() {
+    assert_good("7scenes_redkitchen", 1000, 60, 0.007);
+}
+
+#[test]
+#[ignore = "needs recordings: set MONOSLAM_DATA"]
+fn what_the_laboratory_recorded_stays_as_good_as_it_was() {
+    assert_good("euroc_v1_01_part_b", 90, 20, 0.003);
+    assert_good("icl_of_kt0_first101", 101, 60, 0.0045);
+    assert_good("kitti_snippet_2", 51, 10, 0.004);
+}
+
+#[test]
+#[ignore = "takes minutes: set MONOSLAM_DATA"]
+fn a_long_way_and_stairs_are_one_map() {
+    assert_good("pov_office", 720, 40, 0.0012);
+    assert_good("phone_staircase", 340, 60, 0.02);
 }
