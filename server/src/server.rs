@@ -4,6 +4,7 @@ use crate::config::Config;
 use crate::connections::{Certificates, Meter, Opening, Table, raise_file_limit};
 use crate::current::Changes;
 use crate::data::{DataLock, open_store, server_name};
+use crate::relay::Relay;
 use crate::service::Service;
 use crate::session::keep;
 use crate::soundness::Soundness;
@@ -77,9 +78,13 @@ impl Server {
         let meter = Meter { budget: service.budget().clone(), max_bytes };
         let opening =
             |listener| Opening { listener, tls: tls.clone(), table: table.clone(), meter: meter.clone() };
-        let grpc = grpc::serve(service.clone(), opening(grpc_listener), http_addr.port(), closing.clone());
-        let (app, calls) = (rest::App::new(service.clone()), grpc::for_pages(service.clone()));
-        let http = rest::serve(app, calls, opening(http_listener), closing.clone());
+        let relay = Relay::new(service.clone(), store.clone(), closing.clone())?;
+        let calls = grpc::for_pages(service.clone(), relay.clone());
+        let http_relay = relay.clone();
+        let grpc =
+            grpc::serve(service.clone(), relay, opening(grpc_listener), http_addr.port(), closing.clone());
+        let app = rest::App::new(service.clone());
+        let http = rest::serve(app, calls, http_relay, opening(http_listener), closing.clone());
         let tasks = vec![("gRPC", tokio::spawn(grpc)), ("HTTP", tokio::spawn(http))];
         let encrypted = if tls.is_some() { ", encrypted" } else { "" };
         tracing::info!(%grpc_addr, %http_addr, "serving gRPC on {grpc_addr} and HTTP on {http_addr}{encrypted}");

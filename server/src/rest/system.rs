@@ -43,6 +43,11 @@ pub(super) async fn metrics(State(app): State<App>) -> impl IntoResponse {
     metrics::gauge!("monoslam_sessions_loaded").set(n_loaded as f64);
     metrics::gauge!("monoslam_bytes_in_flight").set(app.service.budget().n_taken_bytes() as f64);
     metrics::gauge!("monoslam_streams_open").set(n_writers as f64);
+    let load = app.service.registry().own_load();
+    metrics::gauge!("monoslam_streams_free").set(load.n_free as f64);
+    if let Ok(servers) = app.service.fleet().await {
+        metrics::gauge!("monoslam_fleet_servers").set(servers.len() as f64);
+    }
     let is_ready = app.service.check_storage().await.is_ok();
     metrics::gauge!("monoslam_storage_ready").set(if is_ready { 1.0 } else { 0.0 });
     let database = database_of(&app.service.config());

@@ -6,6 +6,7 @@ mod database;
 mod faults;
 mod fleet;
 mod fleet_kills;
+mod fleet_relay;
 mod idle;
 mod load;
 mod manager;
