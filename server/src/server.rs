@@ -171,9 +171,12 @@ impl Running {
     }
 
     /// Stops accepting, ends the streams, waits until every session is saved, and closes the database, all
-    /// within the configured grace period.
+    /// within the configured grace period. Where there are other servers, sessions are handed over to them
+    /// first, while this one still takes connections and passes on.
     pub async fn shutdown(self) -> Shutdown {
         let Self { service, store, closing, tasks, grace, _lock, _ended, .. } = self;
+        let begun = tokio::time::Instant::now();
+        hand_over(&service, &store, grace / 2).await;
         tracing::info!("shutting down: no new connections, streams end, sessions are saved");
         closing.cancel();
         let orderly = async {
@@ -181,17 +184,39 @@ impl Running {
             service.operations().shut_down().await;
             service.registry().shut_down().await;
             tracing::info!("every session is saved");
+            if let Err(error) = store.withdraw().await {
+                tracing::warn!("other servers believe for a while that this one is there: {error}");
+            }
             end_connections(tasks, grace / 2).await;
             if let Err(error) = store.close().await {
                 tracing::error!("the database did not close well: {error}");
             }
         };
-        if tokio::time::timeout(grace, orderly).await.is_ok() {
+        if tokio::time::timeout_at(begun + grace, orderly).await.is_ok() {
             tracing::info!("shut down, with everything saved");
             return Shutdown::Complete;
         }
         tracing::warn!("the grace period of {grace:?} ran out: what was still running is abandoned");
         Shutdown::Abandoned
+    }
+}
+
+/// Hands the sessions over to other servers, if there are any; what takes longer than `patience` ends with
+/// the rest.
+async fn hand_over(service: &Service, store: &Store, patience: Duration) {
+    let handing_over = async {
+        if store.servers().await.unwrap_or_default().len() < 2 {
+            return;
+        }
+        tracing::info!("handing sessions over to the other servers, one by one");
+        let leaving = store::Load { is_leaving: true, ..service.registry().own_load() };
+        if let Err(error) = store.report(crate::session::VERSION, &leaving).await {
+            tracing::warn!("other servers do not know that this one leaves: {error}");
+        }
+        service.registry().hand_over().await;
+    };
+    if tokio::time::timeout(patience, handing_over).await.is_err() {
+        tracing::warn!("sessions could not be handed over one by one within {patience:?}");
     }
 }
 

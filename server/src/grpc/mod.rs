@@ -58,6 +58,7 @@ pub(crate) async fn serve(
     reporter.set_serving::<SlamServiceServer<Handler>>().await;
     tokio::spawn(report_health(service.clone(), reporter, closing.clone()));
     let door = Door { access: service.access().clone(), interface: Interface::Grpc };
+    let leaving = service.registry().leaving();
     let router = routes(service)?
         .add_service(health)
         .into_axum_router()
@@ -67,7 +68,8 @@ pub(crate) async fn serve(
         .layer(from_fn_with_state(Interface::Grpc, connections::trace))
         .layer(SetResponseHeaderLayer::overriding(HTTP_PORT_HEADER, HeaderValue::from(http_port)));
     let Opening { listener, tls, table, meter } = opening;
-    let port = Port { listener, interface: Interface::Grpc, tls, table, meter, patient_paths: PATIENT };
+    let interface = Interface::Grpc;
+    let port = Port { listener, interface, tls, table, meter, patient_paths: PATIENT, leaving };
     connections::serve(port, router, closing).await;
     Ok(())
 }
@@ -79,8 +81,10 @@ async fn report_health(service: Arc<Service>, reporter: HealthReporter, closing:
         let storage = service.check_storage().await;
         log.note(&storage);
         match storage {
-            Ok(()) => reporter.set_serving::<SlamServiceServer<Handler>>().await,
-            Err(_unsaved) => reporter.set_not_serving::<SlamServiceServer<Handler>>().await,
+            Ok(()) if !service.registry().is_leaving() => {
+                reporter.set_serving::<SlamServiceServer<Handler>>().await
+            }
+            _ => reporter.set_not_serving::<SlamServiceServer<Handler>>().await,
         }
     }
     reporter.set_not_serving::<SlamServiceServer<Handler>>().await;

@@ -231,7 +231,8 @@ pub(crate) async fn serve(
 ) -> anyhow::Result<()> {
     tokio::spawn(fold_metrics(app.metrics.clone(), closing.clone()));
     let Opening { listener, tls, table, meter } = opening;
-    let port = Port { listener, interface: Interface::Http, tls, table, meter, patient_paths: &[] };
+    let leaving = app.service.registry().leaving();
+    let port = Port { listener, interface: Interface::Http, tls, table, meter, patient_paths: &[], leaving };
     connections::serve(port, router_with(app, calls, Some(relay)), closing).await;
     Ok(())
 }

@@ -22,7 +22,7 @@ pub(super) async fn healthz() -> &'static str {
     (status = 503, description = "They are not", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn readyz(State(app): State<App>) -> Result<String, ApiError> {
-    app.service.registry().check_open()?;
+    app.service.registry().check_taking()?;
     app.service.check_storage().await.map_err(unsaved)?;
     Ok(format!("ready\n{}", app.service.soundness().summary()))
 }

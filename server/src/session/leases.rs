@@ -13,7 +13,7 @@ const RENEWALS: u32 = 3;
 const LOOKS: u32 = 20;
 
 /// What this server is a build of.
-const VERSION: &str = env!("CARGO_PKG_VERSION");
+pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// Renews leases, reports this server, and ends sessions whose lease is about to end, for as long as it is
 /// polled.

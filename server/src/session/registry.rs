@@ -104,6 +104,7 @@ impl Registry {
         replies: Replies,
     ) -> Result<Arc<FrameQueue>, ApiError> {
         self.occupied.check(&request.id)?;
+        self.check_taking()?;
         let held = self.slots.hold(&request.id).await;
         let capacity = match request.policy {
             Policy::Lossless => self.config.get().sessions.lossless_queue_frames,
@@ -308,6 +309,22 @@ impl Registry {
         self.closed.clone()
     }
 
+    /// Takes no further sessions, and lets go of those in memory, one after the other, so that each is away
+    /// for no longer than its own last frames take to be saved. Their streams end after the frames they have
+    /// sent; opened again, they go on with another server.
+    pub async fn hand_over(&self) {
+        self.leaving.cancel();
+        for resident in self.slots.residents() {
+            resident.end();
+            resident.ended().await;
+        }
+    }
+
+    /// Cancelled when sessions begin to be handed over.
+    pub fn leaving(&self) -> CancellationToken {
+        self.leaving.clone()
+    }
+
     /// Takes no new streams, ends the present ones, and waits until every session is saved and gone.
     pub async fn shut_down(&self) {
         self.closed.cancel();
@@ -320,6 +337,15 @@ impl Registry {
     /// If the server is closing.
     pub fn check_open(&self) -> Result<(), ApiError> {
         self.slots.check_open().map_err(|slots::Closing| shutting_down())
+    }
+
+    /// Whether sessions are taken.
+    ///
+    /// # Errors
+    /// If the server hands over those it has, or is closing.
+    pub fn check_taking(&self) -> Result<(), ApiError> {
+        self.check_open()?;
+        if self.is_leaving() { Err(shutting_down()) } else { Ok(()) }
     }
 
     /// The session in memory.

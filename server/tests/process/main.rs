@@ -7,6 +7,7 @@ mod faults;
 mod fleet;
 mod fleet_kills;
 mod fleet_relay;
+mod fleet_restart;
 mod idle;
 mod load;
 mod manager;
