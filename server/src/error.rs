@@ -60,6 +60,8 @@ pub enum ErrorCode {
     SessionDamaged,
     /// Another server works with the session; the error says where it is reached.
     OwnedElsewhere,
+    /// Another server works with the session and cannot be reached now.
+    OwnerUnreachable,
     /// This server stood still for too long, so that another may work with the session by now.
     LeaseLost,
     /// The server is about to stop.
@@ -116,6 +118,7 @@ impl ErrorCode {
             Self::DataLoss => "DATA_LOSS",
             Self::SessionDamaged => "SESSION_DAMAGED",
             Self::OwnedElsewhere => "OWNED_ELSEWHERE",
+            Self::OwnerUnreachable => "OWNER_UNREACHABLE",
             Self::LeaseLost => "LEASE_LOST",
             Self::ShuttingDown => "SHUTTING_DOWN",
             Self::SessionFailed => "SESSION_FAILED",
@@ -159,6 +162,7 @@ impl ErrorCode {
             Self::StorageFailed => "The storage failed",
             Self::DataLoss | Self::SessionDamaged => "The stored map is damaged",
             Self::OwnedElsewhere => "Another server works with the session",
+            Self::OwnerUnreachable => "The session's server cannot be reached",
             Self::LeaseLost => "The session was given up",
             Self::ShuttingDown => "The server is shutting down",
             Self::SessionFailed => "The session failed",
@@ -202,9 +206,11 @@ impl ErrorCode {
             | Self::MessageTooLarge
             | Self::StorageFull => Code::ResourceExhausted,
             Self::TookTooLong => Code::DeadlineExceeded,
-            Self::StorageFailed | Self::OwnedElsewhere | Self::LeaseLost | Self::ShuttingDown => {
-                Code::Unavailable
-            }
+            Self::StorageFailed
+            | Self::OwnedElsewhere
+            | Self::OwnerUnreachable
+            | Self::LeaseLost
+            | Self::ShuttingDown => Code::Unavailable,
             Self::DataLoss | Self::SessionDamaged => Code::DataLoss,
             Self::SessionFailed | Self::Internal => Code::Internal,
         }
@@ -242,6 +248,7 @@ impl ErrorCode {
             Self::UnsupportedMediaType => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             Self::StorageFull => StatusCode::INSUFFICIENT_STORAGE,
             Self::StorageFailed
+            | Self::OwnerUnreachable
             | Self::LeaseLost
             | Self::ShuttingDown
             | Self::TooManyConnections

@@ -40,6 +40,7 @@ mod page;
 mod probe;
 mod process;
 mod quick_share;
+mod relay;
 pub mod rest;
 pub mod scale;
 mod server;

@@ -67,7 +67,7 @@ pub fn describe() {
 }
 
 /// All of them.
-pub const MEASURES: [Measure; 31] = [
+pub const MEASURES: [Measure; 34] = [
     counter("monoslam_frames_total", "frames that were answered")
         .by("outcome", &["tracked", "weak", "lost", "initialising", "dropped", "rejected"]),
     histogram("monoslam_frame_seconds", "from the begin of a frame's tracking to its answer"),
@@ -77,6 +77,10 @@ pub const MEASURES: [Measure; 31] = [
     counter("monoslam_line_candidates_total", "candidate lines by what became of them").by("verdict", &[]),
     gauge("monoslam_sessions_loaded", "sessions in memory"),
     gauge("monoslam_streams_open", "streams of frames that are open"),
+    gauge("monoslam_streams_free", "streams that are taken beyond these"),
+    gauge("monoslam_fleet_servers", "servers that share the database; 0 where it is a file"),
+    counter("monoslam_requests_passed_on_total", "requests that another server of the fleet had to answer")
+        .by("outcome", &["answered", "failed"]),
     counter("monoslam_session_failures_total", "sessions that were closed by a fault of ours"),
     counter("monoslam_operations_total", "adjustments and mergers of maps that ended")
         .by("kind, outcome", &[]),

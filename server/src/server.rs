@@ -4,6 +4,7 @@ use crate::config::Config;
 use crate::connections::{Certificates, Meter, Opening, Table, raise_file_limit};
 use crate::current::Changes;
 use crate::data::{DataLock, open_store, server_name};
+use crate::relay::Relay;
 use crate::service::Service;
 use crate::session::keep;
 use crate::soundness::Soundness;
@@ -77,9 +78,13 @@ impl Server {
         let meter = Meter { budget: service.budget().clone(), max_bytes };
         let opening =
             |listener| Opening { listener, tls: tls.clone(), table: table.clone(), meter: meter.clone() };
-        let grpc = grpc::serve(service.clone(), opening(grpc_listener), http_addr.port(), closing.clone());
-        let (app, calls) = (rest::App::new(service.clone()), grpc::for_pages(service.clone()));
-        let http = rest::serve(app, calls, opening(http_listener), closing.clone());
+        let relay = Relay::new(service.clone(), store.clone(), closing.clone())?;
+        let calls = grpc::for_pages(service.clone(), relay.clone());
+        let http_relay = relay.clone();
+        let grpc =
+            grpc::serve(service.clone(), relay, opening(grpc_listener), http_addr.port(), closing.clone());
+        let app = rest::App::new(service.clone());
+        let http = rest::serve(app, calls, http_relay, opening(http_listener), closing.clone());
         let tasks = vec![("gRPC", tokio::spawn(grpc)), ("HTTP", tokio::spawn(http))];
         let encrypted = if tls.is_some() { ", encrypted" } else { "" };
         tracing::info!(%grpc_addr, %http_addr, "serving gRPC on {grpc_addr} and HTTP on {http_addr}{encrypted}");
@@ -166,9 +171,12 @@ impl Running {
     }
 
     /// Stops accepting, ends the streams, waits until every session is saved, and closes the database, all
-    /// within the configured grace period.
+    /// within the configured grace period. Where there are other servers, sessions are handed over to them
+    /// first, while this one still takes connections and passes on.
     pub async fn shutdown(self) -> Shutdown {
         let Self { service, store, closing, tasks, grace, _lock, _ended, .. } = self;
+        let begun = tokio::time::Instant::now();
+        hand_over(&service, &store, grace / 2).await;
         tracing::info!("shutting down: no new connections, streams end, sessions are saved");
         closing.cancel();
         let orderly = async {
@@ -176,17 +184,39 @@ impl Running {
             service.operations().shut_down().await;
             service.registry().shut_down().await;
             tracing::info!("every session is saved");
+            if let Err(error) = store.withdraw().await {
+                tracing::warn!("other servers believe for a while that this one is there: {error}");
+            }
             end_connections(tasks, grace / 2).await;
             if let Err(error) = store.close().await {
                 tracing::error!("the database did not close well: {error}");
             }
         };
-        if tokio::time::timeout(grace, orderly).await.is_ok() {
+        if tokio::time::timeout_at(begun + grace, orderly).await.is_ok() {
             tracing::info!("shut down, with everything saved");
             return Shutdown::Complete;
         }
         tracing::warn!("the grace period of {grace:?} ran out: what was still running is abandoned");
         Shutdown::Abandoned
+    }
+}
+
+/// Hands the sessions over to other servers, if there are any; what takes longer than `patience` ends with
+/// the rest.
+async fn hand_over(service: &Service, store: &Store, patience: Duration) {
+    let handing_over = async {
+        if store.servers().await.unwrap_or_default().len() < 2 {
+            return;
+        }
+        tracing::info!("handing sessions over to the other servers, one by one");
+        let leaving = store::Load { is_leaving: true, ..service.registry().own_load() };
+        if let Err(error) = store.report(crate::session::VERSION, &leaving).await {
+            tracing::warn!("other servers do not know that this one leaves: {error}");
+        }
+        service.registry().hand_over().await;
+    };
+    if tokio::time::timeout(patience, handing_over).await.is_err() {
+        tracing::warn!("sessions could not be handed over one by one within {patience:?}");
     }
 }
 

@@ -22,7 +22,7 @@ use geometry::CameraParameters;
 use std::hash::RandomState;
 use std::sync::Arc;
 use std::time::Duration;
-use store::{SessionChanges, SessionRecord, Store, StoreError, StoredImage};
+use store::{ServerRecord, SessionChanges, SessionRecord, Store, StoreError, StoredImage};
 use tokio::sync::Semaphore;
 
 /// Smallest image side the front end can use, pixels.
@@ -366,6 +366,14 @@ impl Service {
         self.store.check_saving()?;
         self.store.list_sessions(None, 1).await?;
         Ok(())
+    }
+
+    /// The servers that share the database, as they reported themselves; none where this one is alone.
+    ///
+    /// # Errors
+    /// If the database cannot be read.
+    pub async fn fleet(&self) -> Result<Vec<ServerRecord>, ApiError> {
+        Ok(self.store.servers().await?)
     }
 
     /// Room for what clients send.

@@ -118,6 +118,16 @@ impl Store {
         self.with_leases(Leases(Some(Arc::new(ours))))
     }
 
+    /// This server among others, and for how long it stands for something without saying so again.
+    pub(crate) fn own(&self) -> Option<(&Owner, Duration)> {
+        self.leases().0.as_ref().map(|ours| (&ours.owner, ours.lasts))
+    }
+
+    /// What this server is called among others; `None` if it is alone.
+    pub fn own_name(&self) -> Option<&str> {
+        self.own().map(|(owner, _)| owner.name.as_str())
+    }
+
     /// Takes a session, before it is loaded. Nothing happens in a store that nobody owns.
     ///
     /// # Errors

@@ -61,6 +61,7 @@ mod descriptors;
 mod digest;
 mod engine;
 mod error;
+mod fleet;
 mod frames;
 #[cfg(fuzzing)]
 pub mod fuzzing;
@@ -94,6 +95,7 @@ pub use check::Finding;
 pub use copy::Copied;
 pub use digest::{Digest, TableDigest};
 pub use error::StoreError;
+pub use fleet::{Holder, Load, ServerRecord};
 pub use frames::{FrameEntry, FramePlace};
 pub use graph::{Covisibility, SharedLandmarks};
 pub use keyframes::{KeyframeRecord, StoredImage};

@@ -19,8 +19,9 @@ const SERVICE: &str = "monoslam.v1.SlamService";
 /// Routes that tell nothing about anybody.
 const PUBLIC: [&str; 3] = ["get /healthz", "get /readyz", "delete /v1/tickets"];
 /// Routes that are about no one session.
-const GENERAL: [&str; 8] = [
+const GENERAL: [&str; 9] = [
     "get /metrics",
+    "get /v1/fleet",
     "get /v1/operations",
     "get /v1/operations/{operation}",
     "get /v1/sessions",

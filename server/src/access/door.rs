@@ -2,11 +2,12 @@
 
 use super::keys::Keys;
 use super::origin::Pages;
+use super::passed::{self, Asked, Marks, Passed};
 use super::rates::{Asker, RequestRates};
 use super::rules::{self, Need};
 use super::tickets::{Ticket, Tickets};
 use super::{Caller, Role};
-use crate::connections::{Interface, Peer, client_network};
+use crate::connections::{Interface, Peer, client_network, until};
 use crate::error::{ApiError, ErrorCode};
 use crate::network::{AccessConfig, QuotaConfig, span};
 use axum::body::Body;
@@ -14,10 +15,7 @@ use axum::extract::{Request, State};
 use axum::http::header::AUTHORIZATION;
 use axum::http::{HeaderMap, HeaderValue, Method};
 use axum::middleware::Next;
-use axum::response::{IntoResponse, Response};
-use futures_util::StreamExt;
-use http_body::Frame;
-use http_body_util::{BodyStream, StreamBody};
+use axum::response::Response;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 use store::Store;
@@ -34,6 +32,8 @@ pub struct Access {
     rates: RequestRates,
     pages: RwLock<Arc<Pages>>,
     open: Caller,
+    /// None where the server is alone.
+    marks: Option<Marks>,
 }
 
 /// The door of one port.
@@ -51,16 +51,36 @@ impl Access {
     /// # Errors
     /// If the database cannot be read, or the system gives no random numbers.
     pub async fn new(config: AccessConfig, quotas: QuotaConfig, store: Store) -> anyhow::Result<Arc<Self>> {
+        let secret = store.fleet_secret().await?;
+        let marks = secret.as_deref().zip(store.own_name());
+        let marks = marks.map(|(secret, own_name)| Marks::new(secret, own_name.to_owned()));
         let keys = Arc::new(Keys::new(store, quotas).await?);
-        let tickets = Tickets::new(span(config.ticket_s))?;
+        let tickets = Tickets::new(span(config.ticket_s), secret.as_deref())?;
         let rates = RequestRates::new(config.requests_per_s, config.request_burst);
         let pages = RwLock::new(Arc::new(Pages::new(&config.hosts, &config.cors_origins)));
-        Ok(Arc::new(Self { config, keys, tickets, rates, pages, open: Caller::open() }))
+        Ok(Arc::new(Self { config, keys, tickets, rates, pages, open: Caller::open(), marks }))
     }
 
     /// The tokens.
     pub fn keys(&self) -> &Arc<Keys> {
         &self.keys
+    }
+
+    /// What requests are marked with that are passed on; `None` where the server is alone.
+    pub fn marks(&self) -> Option<&Marks> {
+        self.marks.as_ref()
+    }
+
+    /// Notes of a request that another server passed on who asks.
+    fn unmark(&self, request: &mut Request) {
+        let asked = Asked { method: request.method(), uri: request.uri() };
+        let Some((passed, peer)) = passed::read(self.marks.as_ref(), request.headers(), asked) else {
+            return;
+        };
+        request.extensions_mut().insert(passed);
+        if let Some(peer) = peer {
+            request.extensions_mut().insert(peer);
+        }
     }
 
     /// Takes over which pages may ask, and what each token may use, from a changed configuration.
@@ -114,7 +134,9 @@ impl Access {
             return Ok(caller);
         }
         if self.is_open_to(request) || (self.keys.is_open() && self.config.insecure) {
-            if interface == Interface::Http {
+            // By which name the other server was called is not this one's to say.
+            let is_proven = request.extensions().get::<Passed>().is_some_and(|passed| passed.is_proven);
+            if interface == Interface::Http && !is_proven {
                 self.pages().check_host(request.headers(), request.uri())?;
             }
             return Ok(self.open.clone());
@@ -178,6 +200,7 @@ impl Access {
 /// Lets a request through with its [`Caller`], or refuses it in the words of the port. An answer that is
 /// still under way when the caller's token is revoked ends there.
 pub async fn check(State(door): State<Door>, mut request: Request, next: Next) -> Response {
+    door.access.unmark(&mut request);
     let caller = match door.access.admit(&request, door.interface) {
         Ok(caller) => caller,
         Err(error) => return door.refusal(error),
@@ -194,34 +217,18 @@ pub async fn check(State(door): State<Door>, mut request: Request, next: Next) -
 impl Door {
     fn refusal(&self, error: ApiError) -> Response {
         metrics::counter!("monoslam_requests_refused_total", "code" => error.code.name()).increment(1);
-        match self.interface {
-            Interface::Http => error.into_response(),
-            Interface::Grpc => tonic::Status::from(error).into_http(),
-        }
+        self.interface.refusal(error)
     }
 
     /// A body that ends with an error when its reader may read no more.
     fn until_revoked(&self, body: Body, gone: CancellationToken) -> Body {
-        if http_body::Body::is_end_stream(&body) || http_body::Body::size_hint(&body).exact().is_some() {
+        if http_body::Body::size_hint(&body).exact().is_some() {
             return body;
         }
-        let interface = self.interface;
-        let last = async move {
-            match interface {
-                Interface::Http => Err(axum::Error::new(revoked())),
-                Interface::Grpc => {
-                    let mut trailers = HeaderMap::new();
-                    tonic::Status::from(revoked()).add_header(&mut trailers).map_err(axum::Error::new)?;
-                    Ok(Frame::trailers(trailers))
-                }
-            }
-        };
-        let rest = BodyStream::new(body).take_until(gone.clone().cancelled_owned());
-        let end = futures_util::stream::once(last).filter(move |_| {
-            let is_gone = gone.is_cancelled();
-            async move { is_gone }
-        });
-        Body::new(StreamBody::new(rest.chain(end)))
+        until(body, self.interface, async move {
+            gone.cancelled().await;
+            revoked()
+        })
     }
 }
 

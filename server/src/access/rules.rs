@@ -75,6 +75,7 @@ pub fn of_route(method: &Method, path: &str) -> Need {
         (["v1", "tickets"], _) => Need::Role(Role::Reader),
         // gRPC-Web.
         ([service, _], false) if *service == SERVICE => of_call(path),
+        (["v1", "fleet"], true) => Need::Role(Role::Admin),
         (["v1", "sessions", _, "stream"], _) => Need::Role(Role::Writer),
         (["v1", "sessions", _, "localize"], _) => Need::Role(Role::Reader),
         (["v1", "localize"], _) => Need::Role(Role::Reader),

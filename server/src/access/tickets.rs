@@ -1,9 +1,9 @@
 //! Tickets: what a browser shows in a cookie where it can send no token, as for events, streams and pictures.
 //!
 //! A page gets one with its token. It says whose it is and until when, and is signed with a key that this
-//! process made and nobody else has: nothing is kept, and a restart ends all of them. The server takes
-//! tickets for reading and, from its own pages, for streams; changes need the token itself, which no foreign
-//! page can send.
+//! process made and nobody else has, so that a restart ends all of them; servers of one database sign with
+//! its secret, so that each takes the others'. Nothing is kept. The server takes tickets for reading and,
+//! from its own pages, for streams; changes need the token itself, which no foreign page can send.
 
 use super::Keys;
 use crate::clock::since_1970_ns;
@@ -34,11 +34,16 @@ pub struct Ticket {
 }
 
 impl Tickets {
-    /// With a new key.
+    /// With the key of a fleet, or with a new one.
     ///
     /// # Errors
     /// If the system gives no random numbers.
-    pub fn new(lifetime: Duration) -> anyhow::Result<Self> {
+    pub fn new(lifetime: Duration, secret: Option<&[u8]>) -> anyhow::Result<Self> {
+        if let Some(secret) = secret {
+            // Not the secret itself, which signs other things as well.
+            let secret = hmac::sign(&hmac::Key::new(hmac::HMAC_SHA256, secret), b"monoslam tickets");
+            return Ok(Self { key: hmac::Key::new(hmac::HMAC_SHA256, secret.as_ref()), lifetime });
+        }
         let key = hmac::Key::generate(hmac::HMAC_SHA256, &SystemRandom::new());
         Ok(Self { key: key.map_err(|_| anyhow::anyhow!("the system gives no random numbers"))?, lifetime })
     }
@@ -98,15 +103,22 @@ mod tests {
 
     #[test]
     fn a_ticket_is_good_for_its_time_and_as_it_was_signed() {
-        let tickets = Tickets::new(Duration::from_secs(60)).unwrap();
+        let tickets = Tickets::new(Duration::from_secs(60), None).unwrap();
         let Ticket { value, .. } = tickets.issue(7);
         assert_eq!(tickets.check(&value), Some(7));
         let mut forged = URL_SAFE_NO_PAD.decode(&value).unwrap();
         forged[0] = 8;
         assert_eq!(tickets.check(&URL_SAFE_NO_PAD.encode(forged)), None);
-        assert_eq!(Tickets::new(Duration::from_secs(60)).unwrap().check(&value), None, "another server's");
+        assert_eq!(
+            Tickets::new(Duration::from_secs(60), None).unwrap().check(&value),
+            None,
+            "another server's"
+        );
+        let of_fleet = || Tickets::new(Duration::from_secs(60), Some(b"secret")).unwrap();
+        assert_eq!(of_fleet().check(&of_fleet().issue(7).value), Some(7), "servers of one database");
+        assert_eq!(of_fleet().check(&value), None);
         assert_eq!(tickets.check(""), None);
-        let over = Tickets::new(Duration::ZERO).unwrap();
+        let over = Tickets::new(Duration::ZERO, None).unwrap();
         assert_eq!(over.check(&over.issue(7).value), None);
     }
 }

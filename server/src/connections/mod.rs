@@ -14,6 +14,7 @@ mod serve;
 mod table;
 mod tls;
 mod traced;
+mod until;
 
 pub use files::raise_file_limit;
 pub use inflow::Inflow;
@@ -22,3 +23,4 @@ pub use serve::{Interface, Opening, Peer, Port, serve};
 pub use table::{Table, client_network};
 pub use tls::Certificates;
 pub use traced::trace;
+pub use until::until;

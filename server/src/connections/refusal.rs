@@ -3,7 +3,7 @@
 use super::serve::Interface;
 use super::table::Full;
 use crate::error::{ApiError, ErrorCode};
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use hyper::body::Incoming;
 use hyper::header::{CONNECTION, HeaderValue};
 use hyper::service::service_fn;
@@ -63,12 +63,9 @@ async fn answer(stream: TcpStream, interface: Interface, full: Full) {
 fn refusal(interface: Interface, full: Full) -> Response {
     let sentence = format!("{full}; try again later");
     let error = ApiError::new(ErrorCode::TooManyConnections, sentence).retry_after(Duration::from_secs(1));
-    match interface {
-        Interface::Grpc => tonic::Status::from(error).into_http(),
-        Interface::Http => {
-            let mut response = error.into_response();
-            response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
-            response
-        }
+    let mut response = interface.refusal(error);
+    if interface == Interface::Http {
+        response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
     }
+    response
 }

@@ -77,11 +77,14 @@ pub struct Port {
     /// Requests for these paths may stand still in the middle of their body, and end by themselves in a
     /// shutdown.
     pub patient_paths: &'static [&'static str],
+    /// Cancelled before the server stops: the connections there are then take no further requests, so that
+    /// their clients make new ones, which a load balancer leads elsewhere. New ones are still served.
+    pub leaving: CancellationToken,
 }
 
 /// Serves a port until `closing`, then lets what is under way end.
 pub async fn serve(port: Port, router: Router, closing: CancellationToken) {
-    let Port { listener, interface, tls, table, meter, patient_paths } = port;
+    let Port { listener, interface, tls, table, meter, patient_paths, leaving } = port;
     let refusals = Refusals::new();
     // Each connection keeps a sender, so that the channel ends when the last of them does.
     let (alive, mut all_gone) = mpsc::channel::<Infallible>(1);
@@ -121,6 +124,8 @@ pub async fn serve(port: Port, router: Router, closing: CancellationToken) {
             patient_paths,
             router: router.clone(),
             closing: closing.clone(),
+            // Who comes afterwards found no other server.
+            leaving: if leaving.is_cancelled() { CancellationToken::new() } else { leaving.clone() },
         };
         let (tls, alive) = (tls.clone(), alive.clone());
         tokio::spawn(async move {
@@ -141,6 +146,7 @@ struct Connection {
     patient_paths: &'static [&'static str],
     router: Router,
     closing: CancellationToken,
+    leaving: CancellationToken,
 }
 
 impl Connection {
@@ -162,7 +168,7 @@ impl Connection {
     async fn answer<S: AsyncRead + AsyncWrite + Send + Unpin + 'static>(self, stream: S) {
         let limits = self.place.activity();
         let (close, drop) = (limits.close.clone(), limits.drop.clone());
-        let (place, closing) = (self.place.clone(), self.closing.clone());
+        let (place, closing, leaving) = (self.place.clone(), self.closing.clone(), self.leaving.clone());
         let builder = self.builder();
         let service = service_fn(move |request| self.respond(request));
         let connection = builder.serve_connection_with_upgrades(TokioIo::new(stream), service);
@@ -179,7 +185,7 @@ impl Connection {
                     return;
                 }
                 () = drop.cancelled() => return,
-                () = async { tokio::select! { () = close.cancelled() => {}, () = closing.cancelled() => {} } }, if !is_ending => {
+                () = any_of([&close, &closing, &leaving]), if !is_ending => {
                     is_ending = true;
                     connection.as_mut().graceful_shutdown();
                 }
@@ -227,5 +233,13 @@ impl Connection {
             drop(kept);
             Ok(response.map(|body| Answer::new(body, in_flight)))
         }
+    }
+}
+
+async fn any_of([a, b, c]: [&CancellationToken; 3]) {
+    tokio::select! {
+        () = a.cancelled() => {}
+        () = b.cancelled() => {}
+        () = c.cancelled() => {}
     }
 }

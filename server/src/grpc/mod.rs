@@ -15,10 +15,12 @@ use crate::error::ApiError;
 use crate::options::SessionOptions;
 use crate::outage::Outage;
 use crate::page::PageRequest;
+use crate::relay::{self, Relay, RelayLayer};
 use crate::service::Service;
 use crate::session::SessionId;
 use crate::watch::watch;
 use axum::Router;
+use axum::middleware::from_fn_with_state;
 use proto::v1;
 use proto::v1::slam_service_server::{SlamService, SlamServiceServer};
 use std::pin::Pin;
@@ -47,6 +49,7 @@ const PATIENT: &[&str] = &["/monoslam.v1.SlamService/StreamFrames"];
 /// Serves gRPC until `closing`, then lets what is under way end.
 pub(crate) async fn serve(
     service: Arc<Service>,
+    relay: Relay,
     opening: Opening,
     http_port: u16,
     closing: CancellationToken,
@@ -55,15 +58,18 @@ pub(crate) async fn serve(
     reporter.set_serving::<SlamServiceServer<Handler>>().await;
     tokio::spawn(report_health(service.clone(), reporter, closing.clone()));
     let door = Door { access: service.access().clone(), interface: Interface::Grpc };
+    let leaving = service.registry().leaving();
     let router = routes(service)?
         .add_service(health)
         .into_axum_router()
+        .layer(from_fn_with_state(RelayLayer { relay, interface: Interface::Grpc }, relay::pass))
         .layer(axum::middleware::from_fn(deadline::keep))
-        .layer(axum::middleware::from_fn_with_state(door, access::check))
-        .layer(axum::middleware::from_fn_with_state(Interface::Grpc, connections::trace))
+        .layer(from_fn_with_state(door, access::check))
+        .layer(from_fn_with_state(Interface::Grpc, connections::trace))
         .layer(SetResponseHeaderLayer::overriding(HTTP_PORT_HEADER, HeaderValue::from(http_port)));
     let Opening { listener, tls, table, meter } = opening;
-    let port = Port { listener, interface: Interface::Grpc, tls, table, meter, patient_paths: PATIENT };
+    let interface = Interface::Grpc;
+    let port = Port { listener, interface, tls, table, meter, patient_paths: PATIENT, leaving };
     connections::serve(port, router, closing).await;
     Ok(())
 }
@@ -75,8 +81,10 @@ async fn report_health(service: Arc<Service>, reporter: HealthReporter, closing:
         let storage = service.check_storage().await;
         log.note(&storage);
         match storage {
-            Ok(()) => reporter.set_serving::<SlamServiceServer<Handler>>().await,
-            Err(_unsaved) => reporter.set_not_serving::<SlamServiceServer<Handler>>().await,
+            Ok(()) if !service.registry().is_leaving() => {
+                reporter.set_serving::<SlamServiceServer<Handler>>().await
+            }
+            _ => reporter.set_not_serving::<SlamServiceServer<Handler>>().await,
         }
     }
     reporter.set_not_serving::<SlamServiceServer<Handler>>().await;
@@ -109,9 +117,11 @@ fn slam_service(service: Arc<Service>) -> SlamServiceServer<Handler> {
 /// The calls as pages in a browser make them, by gRPC-Web, for the port that pages come from: the door of
 /// that port stands before it. Streams of the server work, those of the client do not, as browsers cannot
 /// send them.
-pub(crate) fn for_pages(service: Arc<Service>) -> Router {
+pub(crate) fn for_pages(service: Arc<Service>, relay: Relay) -> Router {
     Routes::new(slam_service(service))
         .into_axum_router()
+        // Within the translation: another server is asked by gRPC itself.
+        .layer(from_fn_with_state(RelayLayer { relay, interface: Interface::Grpc }, relay::pass))
         .layer(tonic_web::GrpcWebLayer::new())
         .layer(axum::middleware::from_fn(deadline::keep))
         .layer(axum::middleware::from_fn(only_from_pages))

@@ -11,6 +11,7 @@ pub use queue::{Kind, Operation, Outcome, State};
 
 use crate::access::Caller;
 use crate::error::{ApiError, ErrorCode};
+use crate::fleet::operation_tag;
 use crate::session::{Registry, SessionId};
 use queue::{Limits, New, Queue};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -40,7 +41,8 @@ struct Inner {
 impl Operations {
     /// None yet; `n_at_once` run at the same time, and `max_waiting` are known that have not ended.
     pub fn new(tools: Tools, n_at_once: usize, max_waiting: usize) -> Self {
-        let queue = Mutex::new(Queue::new(Limits { n_at_once, max_unfinished: max_waiting }));
+        let tag = tools.store.own_name().map_or_else(String::new, |name| format!("{}-", operation_tag(name)));
+        let queue = Mutex::new(Queue::new(Limits { n_at_once, max_unfinished: max_waiting, tag }));
         Self(Arc::new(Inner { queue, ended: Notify::new(), tools }))
     }
 

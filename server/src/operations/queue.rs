@@ -119,12 +119,14 @@ pub(super) struct Turn {
     pub work: Arc<Work>,
 }
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Default)]
 pub(super) struct Limits {
     /// Operations that run at the same time.
     pub n_at_once: usize,
     /// Operations known that have not ended.
     pub max_unfinished: usize,
+    /// Stands in the names of operations, with a `-` behind it; empty where the server is alone.
+    pub tag: String,
 }
 
 struct Entry {
@@ -161,7 +163,7 @@ impl Queue {
         let New { kind, session, from, owner, created_at_ns } = new;
         self.check_room(&owner)?;
         self.check_sessions(&session, from.as_ref())?;
-        let id = new_id();
+        let id = format!("op-{}{:016x}", self.limits.tag, rand::random::<u64>());
         let (session, from_session) = (Some(session), from);
         let operation = Operation {
             id: id.clone(),
@@ -319,10 +321,6 @@ impl Entry {
     }
 }
 
-fn new_id() -> String {
-    format!("op-{:016x}", rand::random::<u64>())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -334,7 +332,7 @@ mod tests {
     }
 
     fn queue(n_at_once: usize, max_unfinished: usize) -> Queue {
-        Queue::new(Limits { n_at_once, max_unfinished })
+        Queue::new(Limits { n_at_once, max_unfinished, ..Limits::default() })
     }
 
     #[test]

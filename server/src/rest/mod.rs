@@ -5,6 +5,7 @@ mod conditional;
 mod document;
 mod events;
 mod extract;
+mod fleet;
 mod frames;
 mod graph;
 mod keyframes;
@@ -30,6 +31,7 @@ mod trajectory;
 
 use crate::access::{self, Access, Door};
 use crate::connections::{self, Interface, Opening, Port};
+use crate::relay::{self, Relay, RelayLayer};
 use crate::service::Service;
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
@@ -148,6 +150,7 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
         .routes(routes!(localize::localize).layer(DefaultBodyLimit::max(max_image_bytes)))
         .routes(routes!(localize::localize_among).layer(DefaultBodyLimit::max(max_image_bytes)))
         .routes(routes!(tickets::issue, tickets::forget))
+        .routes(routes!(fleet::fleet))
         .routes(routes!(system::healthz))
         .routes(routes!(system::readyz))
         .routes(routes!(system::metrics))
@@ -156,14 +159,16 @@ fn api(max_image_bytes: usize) -> OpenApiRouter<App> {
 /// The whole interface, without a socket. Behind its door, requests that come over no connection are this
 /// process's own.
 pub fn router(app: App) -> Router {
-    router_with(app, Router::new())
+    router_with(app, Router::new(), None)
 }
 
-/// As [`router`], with more behind the same door.
-fn router_with(app: App, more: Router) -> Router {
+/// As [`router`], with more behind the same door, and passing on what another server must answer.
+fn router_with(app: App, more: Router, relay: Option<Relay>) -> Router {
     let access = app.service.access().clone();
     // Where no foreign page is let in, nothing is said about them.
     let cors = option_layer((!access.config().cors_origins.is_empty()).then(|| cors(access.clone())));
+    let relay = relay.map(|relay| RelayLayer { relay, interface: Interface::Http });
+    let relay = relay.map(|layer| axum::middleware::from_fn_with_state(layer, relay::pass));
     let door = Door { access, interface: Interface::Http };
     let max_image_bytes = app.service.config().limits.max_message_bytes;
     let (router, mut document) = api(max_image_bytes).split_for_parts();
@@ -185,6 +190,7 @@ fn router_with(app: App, more: Router) -> Router {
         .method_not_allowed_fallback(problem::method_not_allowed)
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
         .layer(axum::middleware::from_fn_with_state(app.clone(), conditional::answer))
+        .layer(option_layer(relay))
         .layer(axum::middleware::from_fn_with_state(door, access::check))
         .layer(axum::middleware::from_fn_with_state(Interface::Http, connections::trace))
         // Images and events go as they are.
@@ -219,13 +225,15 @@ pub fn openapi() -> utoipa::openapi::OpenApi {
 pub(crate) async fn serve(
     app: App,
     calls: Router,
+    relay: Relay,
     opening: Opening,
     closing: CancellationToken,
 ) -> anyhow::Result<()> {
     tokio::spawn(fold_metrics(app.metrics.clone(), closing.clone()));
     let Opening { listener, tls, table, meter } = opening;
-    let port = Port { listener, interface: Interface::Http, tls, table, meter, patient_paths: &[] };
-    connections::serve(port, router_with(app, calls), closing).await;
+    let leaving = app.service.registry().leaving();
+    let port = Port { listener, interface: Interface::Http, tls, table, meter, patient_paths: &[], leaving };
+    connections::serve(port, router_with(app, calls, Some(relay)), closing).await;
     Ok(())
 }
 

@@ -22,7 +22,7 @@ pub(super) async fn healthz() -> &'static str {
     (status = 503, description = "They are not", body = ProblemDetails, content_type = "application/problem+json")
 ))]
 pub(super) async fn readyz(State(app): State<App>) -> Result<String, ApiError> {
-    app.service.registry().check_open()?;
+    app.service.registry().check_taking()?;
     app.service.check_storage().await.map_err(unsaved)?;
     Ok(format!("ready\n{}", app.service.soundness().summary()))
 }
@@ -43,6 +43,11 @@ pub(super) async fn metrics(State(app): State<App>) -> impl IntoResponse {
     metrics::gauge!("monoslam_sessions_loaded").set(n_loaded as f64);
     metrics::gauge!("monoslam_bytes_in_flight").set(app.service.budget().n_taken_bytes() as f64);
     metrics::gauge!("monoslam_streams_open").set(n_writers as f64);
+    let load = app.service.registry().own_load();
+    metrics::gauge!("monoslam_streams_free").set(load.n_free as f64);
+    if let Ok(servers) = app.service.fleet().await {
+        metrics::gauge!("monoslam_fleet_servers").set(servers.len() as f64);
+    }
     let is_ready = app.service.check_storage().await.is_ok();
     metrics::gauge!("monoslam_storage_ready").set(if is_ready { 1.0 } else { 0.0 });
     let database = database_of(&app.service.config());

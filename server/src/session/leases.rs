@@ -1,4 +1,5 @@
-//! Keeps what this server has taken, and lets go in time of what it could not keep.
+//! Keeps what this server has taken, lets go in time of what it could not keep, and tells the other servers
+//! how busy it is.
 
 use super::Registry;
 use crate::outage::Outage;
@@ -11,7 +12,11 @@ const RENEWALS: u32 = 3;
 /// two looks lets go, so that it has before another can take the session.
 const LOOKS: u32 = 20;
 
-/// Renews leases, and ends sessions whose lease is about to end, for as long as it is polled.
+/// What this server is a build of.
+pub const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// Renews leases, reports this server, and ends sessions whose lease is about to end, for as long as it is
+/// polled.
 pub async fn keep(registry: &Registry, store: &Store, lease: Duration) {
     let renewing = async {
         let mut outage = Outage::new("sessions cannot be kept");
@@ -26,6 +31,13 @@ pub async fn keep(registry: &Registry, store: &Store, lease: Duration) {
             tokio::time::sleep_until(begun + every).await;
         }
     };
+    let reporting = async {
+        loop {
+            // The next report follows soon: what keeps it from the database is told where leases are renewed.
+            let _ = tokio::time::timeout(lease, store.report(VERSION, &registry.own_load())).await;
+            tokio::time::sleep(lease / RENEWALS).await;
+        }
+    };
     let looking = async {
         let every = lease / LOOKS;
         loop {
@@ -35,5 +47,5 @@ pub async fn keep(registry: &Registry, store: &Store, lease: Duration) {
             }
         }
     };
-    tokio::join!(renewing, looking);
+    tokio::join!(renewing, reporting, looking);
 }

@@ -30,7 +30,7 @@ pub use gallery::ShownFrame;
 pub use id::{OWNER_END, SessionId, is_name};
 pub use images::as_file;
 pub use journal::{Revision, SceneChanges, Since};
-pub use leases::keep;
+pub use leases::{VERSION, keep};
 pub use load::{LoadContext, read};
 pub use queue::{Closed, Ending, FrameQueue, Policy, Queued};
 pub use registry::{OpenRequest, Registry};

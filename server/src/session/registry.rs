@@ -48,6 +48,8 @@ pub struct Registry {
     occupied: Occupancy,
     /// What sessions work with.
     cores: Cores,
+    /// Cancelled before the server stops: it takes no further sessions then and hands over those it has.
+    leaving: CancellationToken,
     /// Ends what watches sessions.
     closed: CancellationToken,
 }
@@ -80,10 +82,11 @@ impl Registry {
     /// A registry without sessions.
     pub fn new(config: Current, store: Store) -> Self {
         let slots = Slots::new(config.get().limits.max_loaded_sessions);
-        let (occupied, closed) = (Occupancy::default(), CancellationToken::new());
+        let occupied = Occupancy::default();
+        let (leaving, closed) = (CancellationToken::new(), CancellationToken::new());
         let start = Instant::now();
         let cores = Cores::new(config.get().sessions.n_cores(), move || start.elapsed());
-        Self { config, store, slots, occupied, cores, closed }
+        Self { config, store, slots, occupied, cores, leaving, closed }
     }
 
     /// What sessions, and what adjusts maps, work with.
@@ -101,6 +104,7 @@ impl Registry {
         replies: Replies,
     ) -> Result<Arc<FrameQueue>, ApiError> {
         self.occupied.check(&request.id)?;
+        self.check_taking()?;
         let held = self.slots.hold(&request.id).await;
         let capacity = match request.policy {
             Policy::Lossless => self.config.get().sessions.lossless_queue_frames,
@@ -154,6 +158,22 @@ impl Registry {
     pub fn n_loaded(&self) -> (usize, usize) {
         let loaded = self.slots.residents();
         (loaded.len(), loaded.iter().filter(|session| session.is_busy()).count())
+    }
+
+    /// How busy this server is, as others may know it.
+    pub fn own_load(&self) -> store::Load {
+        let (n_loaded, n_streams) = self.n_loaded();
+        let is_leaving = self.is_leaving();
+        // A session that nobody streams into makes way for another.
+        let n_free = self.config.get().limits.max_loaded_sessions.saturating_sub(n_streams);
+        let n_free = if is_leaving { 0 } else { n_free };
+        let [n_loaded, n_streams, n_free] = [n_loaded, n_streams, n_free].map(|n| n as u64);
+        store::Load { n_loaded, n_streams, n_free, is_leaving }
+    }
+
+    /// Whether this server hands its sessions over to others.
+    pub fn is_leaving(&self) -> bool {
+        self.leaving.is_cancelled()
     }
 
     /// Takes a session out of memory and runs `delete` while nobody can load it.
@@ -289,6 +309,22 @@ impl Registry {
         self.closed.clone()
     }
 
+    /// Takes no further sessions, and lets go of those in memory, one after the other, so that each is away
+    /// for no longer than its own last frames take to be saved. Their streams end after the frames they have
+    /// sent; opened again, they go on with another server.
+    pub async fn hand_over(&self) {
+        self.leaving.cancel();
+        for resident in self.slots.residents() {
+            resident.end();
+            resident.ended().await;
+        }
+    }
+
+    /// Cancelled when sessions begin to be handed over.
+    pub fn leaving(&self) -> CancellationToken {
+        self.leaving.clone()
+    }
+
     /// Takes no new streams, ends the present ones, and waits until every session is saved and gone.
     pub async fn shut_down(&self) {
         self.closed.cancel();
@@ -301,6 +337,15 @@ impl Registry {
     /// If the server is closing.
     pub fn check_open(&self) -> Result<(), ApiError> {
         self.slots.check_open().map_err(|slots::Closing| shutting_down())
+    }
+
+    /// Whether sessions are taken.
+    ///
+    /// # Errors
+    /// If the server hands over those it has, or is closing.
+    pub fn check_taking(&self) -> Result<(), ApiError> {
+        self.check_open()?;
+        if self.is_leaving() { Err(shutting_down()) } else { Ok(()) }
     }
 
     /// The session in memory.

@@ -11,7 +11,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use store::{Store, StoreOptions};
 use testkit::postgres::shared_database;
-use tests::{FrameStream, SmallWorld, create_session, open_message};
+use tests::{Client, FrameStream, SmallWorld, create_session, open_message};
+use tokio::task::JoinHandle;
 
 const N_SERVERS: usize = 3;
 const N_STREAMS: usize = 6;
@@ -22,7 +23,7 @@ const FRAMES_PER_S: u64 = 10;
 const N_IMAGES: usize = 60;
 
 /// Where servers are at present.
-type Places = Arc<Mutex<Vec<String>>>;
+pub type Places = Arc<Mutex<Vec<String>>>;
 
 /// One stream that goes on through all of it.
 struct Robot {
@@ -60,7 +61,9 @@ impl Robot {
         let address = place.trim_start_matches("http://").parse().unwrap();
         let connecting = tokio::time::timeout(Duration::from_secs(1), tests::connect(address));
         let mut client = connecting.await.ok()?.ok()?;
-        let opening = FrameStream::open(&mut client, open_message(&self.id));
+        // What a server that is gone has passed on may still be open.
+        let open = v1::OpenStream { take_over: true, ..open_message(&self.id) };
+        let opening = FrameStream::open(&mut client, open);
         let mut stream = match tokio::time::timeout(Duration::from_secs(3), opening).await.ok()? {
             Ok(stream) => stream,
             Err(status) if tonic_types::StatusExt::get_error_details(&status).error_info().is_some() => {
@@ -98,6 +101,60 @@ impl Robot {
     }
 }
 
+/// Robots that stream through all that befalls a fleet.
+pub struct Robots {
+    robots: Vec<Arc<Robot>>,
+    running: Vec<JoinHandle<()>>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Robots {
+    /// Makes so many sessions and streams into them, to whichever of the places.
+    pub async fn start(client: &mut Client, places: &Places) -> Self {
+        let world = SmallWorld::new(1);
+        let images = Arc::new((0..N_IMAGES).map(|i| world.frame(i).image.unwrap()).collect::<Vec<_>>());
+        let (mut robots, mut running, stop) = (Vec::new(), Vec::new(), Arc::new(AtomicBool::new(false)));
+        for idx in 0..N_STREAMS {
+            let id = format!("robot-{idx}");
+            create_session(client, &id, world.camera()).await.unwrap();
+            // One server has all of them at first, so that others pass on.
+            FrameStream::open(client, open_message(&id)).await.unwrap().finish().await.unwrap();
+            let (places, images, stop) = (places.clone(), images.clone(), stop.clone());
+            let (promised, gaps) = (AtomicU64::new(0), Mutex::default());
+            let robot = Arc::new(Robot { id, places, images, promised, gaps, stop });
+            running.push(tokio::spawn(robot.clone().run(idx)));
+            robots.push(robot);
+        }
+        Self { robots, running, stop }
+    }
+
+    /// Ends the streams.
+    pub async fn stop(&mut self) {
+        self.stop.store(true, Ordering::SeqCst);
+        for robot in self.running.drain(..) {
+            robot.await.expect("no robot found a frame missing");
+        }
+    }
+
+    /// That everything is there that was acknowledged; how long each stream was down each time, the shortest
+    /// first.
+    pub async fn account(&self, url: &str) -> Vec<Duration> {
+        let store = Store::connect(url, StoreOptions::default()).await.unwrap();
+        assert_eq!(store.check().await.unwrap(), []);
+        let mut gaps = Vec::new();
+        for robot in &self.robots {
+            let promised = robot.promised.load(Ordering::SeqCst);
+            let record = store.get_session(&robot.id).await.unwrap();
+            let n_frames = record.counts.n_frames;
+            assert!(n_frames >= promised, "{}: {n_frames} are there, {promised} were acknowledged", robot.id);
+            assert!(promised > 50, "{}: hardly anything was acknowledged: {promised}", robot.id);
+            gaps.extend(robot.gaps.lock().unwrap().iter().copied());
+        }
+        gaps.sort();
+        gaps
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "takes minutes: kills in a fleet; needs PostgreSQL"]
 async fn kills_and_standstills_in_a_fleet_lose_nothing_that_was_acknowledged() {
@@ -107,19 +164,7 @@ async fn kills_and_standstills_in_a_fleet_lose_nothing_that_was_acknowledged() {
     let mut servers: Vec<ServerProcess> = (0..N_SERVERS).map(start).collect();
     let place = |server: &ServerProcess| format!("http://{}", server.grpc_addr);
     let places: Places = Arc::new(Mutex::new(servers.iter().map(place).collect()));
-    let world = SmallWorld::new(1);
-    let images = Arc::new((0..N_IMAGES).map(|i| world.frame(i).image.unwrap()).collect::<Vec<_>>());
-    let stop = Arc::new(AtomicBool::new(false));
-    let (mut robots, mut running) = (Vec::new(), Vec::new());
-    for idx in 0..N_STREAMS {
-        let id = format!("robot-{idx}");
-        create_session(&mut servers[0].client().await, &id, world.camera()).await.unwrap();
-        let (places, images, stop) = (places.clone(), images.clone(), stop.clone());
-        let (promised, gaps) = (AtomicU64::new(0), Mutex::default());
-        let robot = Arc::new(Robot { id, places, images, promised, gaps, stop });
-        running.push(tokio::spawn(robot.clone().run(idx)));
-        robots.push(robot);
-    }
+    let mut robots = Robots::start(&mut servers[0].client().await, &places).await;
     tokio::time::sleep(Duration::from_secs(3)).await;
     for fault in 0..N_FAULTS {
         // In an order that repeats after 24.
@@ -136,24 +181,11 @@ async fn kills_and_standstills_in_a_fleet_lose_nothing_that_was_acknowledged() {
         }
         tokio::time::sleep(Duration::from_millis(700 + fault as u64 * 997 % 900)).await;
     }
-    stop.store(true, Ordering::SeqCst);
-    for robot in running {
-        robot.await.expect("no robot found a frame missing");
-    }
+    robots.stop().await;
     for server in servers {
         assert!(server.terminate());
     }
-    let store = Store::connect(&url, StoreOptions::default()).await.unwrap();
-    assert_eq!(store.check().await.unwrap(), []);
-    let mut gaps = Vec::new();
-    for robot in &robots {
-        let promised = robot.promised.load(Ordering::SeqCst);
-        let record = store.get_session(&robot.id).await.unwrap();
-        assert!(record.counts.n_frames >= promised, "{}: {record:?}, {promised} were acknowledged", robot.id);
-        assert!(promised > 50, "{}: hardly anything was acknowledged: {promised}", robot.id);
-        gaps.extend(robot.gaps.lock().unwrap().iter().copied());
-    }
-    gaps.sort();
+    let gaps = robots.account(&url).await;
     let (middle, last) = (gaps[gaps.len() / 2], gaps[gaps.len() - 1]);
     eprintln!("{N_FAULTS} faults, {} gaps: half within {middle:.1?}, all within {last:.1?}", gaps.len());
 }

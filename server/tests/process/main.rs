@@ -6,6 +6,8 @@ mod database;
 mod faults;
 mod fleet;
 mod fleet_kills;
+mod fleet_relay;
+mod fleet_restart;
 mod idle;
 mod load;
 mod manager;

@@ -78,7 +78,8 @@ impl Drop for ServerProcess {
 fn addresses_in(line: &str) -> Option<(SocketAddr, SocketAddr)> {
     let (_, rest) = line.split_once("serving gRPC on ")?;
     let (grpc, rest) = rest.split_once(" and HTTP on ")?;
-    Some((grpc.parse().ok()?, rest.split_whitespace().next()?.parse().ok()?))
+    let http = rest.split_whitespace().next()?.trim_end_matches(',');
+    Some((grpc.parse().ok()?, http.parse().ok()?))
 }
 
 /// Ends what a server writes to a file at so many bytes, as a disk that is full does.

@@ -4,8 +4,8 @@ use crate::world::*;
 use nalgebra::Vector3;
 use std::time::Duration;
 use store::{
-    Bounds, Copied, KeyframeImage, LineQuery, MotionReading, Owner, PointQuery, SessionChanges, Store,
-    StoreError, StoreOptions,
+    Bounds, Copied, Holder, KeyframeImage, LineQuery, Load, MotionReading, Owner, PointQuery, ServerRecord,
+    SessionChanges, Store, StoreError, StoreOptions,
 };
 use testkit::postgres::{Cluster, shared_database};
 
@@ -147,6 +147,36 @@ mod postgres {
     }
 
     const LONG: Duration = Duration::from_secs(60);
+
+    #[tokio::test]
+    #[ignore = "needs PostgreSQL"]
+    async fn servers_know_each_other_for_as_long_as_they_report_themselves() {
+        let home = Home::postgres();
+        let [one, other] = two_servers(&home, LONG).await;
+        assert_eq!(one.servers().await.unwrap(), []);
+        let busy = Load { n_loaded: 3, n_streams: 2, n_free: 7, is_leaving: false };
+        one.report("1.2.3", &busy).await.unwrap();
+        other.report("1.2.3", &Load::default()).await.unwrap();
+        let servers = one.servers().await.unwrap();
+        assert_eq!(servers[0], ServerRecord { server: owner("one"), version: "1.2.3".into(), load: busy });
+        assert_eq!(servers[1].server.name, "other");
+
+        assert_eq!(other.holder("s").await.unwrap(), None);
+        one.take("s").await.unwrap();
+        let held = |is_leaving| Some(Holder { server: owner("one"), is_leaving });
+        assert_eq!(other.holder("s").await.unwrap(), held(false));
+        one.report("1.2.3", &Load { is_leaving: true, ..busy }).await.unwrap();
+        assert_eq!(other.holder("s").await.unwrap(), held(true));
+        one.give_back("s").await;
+        assert_eq!(other.holder("s").await.unwrap(), None);
+
+        one.withdraw().await.unwrap();
+        assert_eq!(other.servers().await.unwrap().len(), 1);
+        number(&home, "UPDATE servers SET expires_at = now() - interval '1 s' RETURNING 1::bigint").await;
+        assert_eq!(other.servers().await.unwrap(), []);
+        let secret = one.fleet_secret().await.unwrap().unwrap();
+        assert_eq!((secret.len(), Some(&secret)), (32, other.fleet_secret().await.unwrap().as_ref()));
+    }
 
     #[tokio::test]
     #[ignore = "needs PostgreSQL"]
@@ -316,7 +346,7 @@ mod postgres {
         let server = sqlx::PgPool::connect(url).await.unwrap();
         let mut of_server: Vec<String> = sqlx::query_scalar(
             "SELECT table_name || '.' || column_name FROM information_schema.columns WHERE table_schema = 'public'
-             AND table_name NOT LIKE '\\_%' AND table_name <> 'leases'",
+             AND table_name NOT LIKE '\\_%' AND table_name NOT IN ('leases', 'servers', 'fleet_key')",
         )
         .fetch_all(&server)
         .await

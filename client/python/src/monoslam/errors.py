@@ -69,8 +69,9 @@ class RefusedError(MonoslamError):
 
     @property
     def is_passing(self) -> bool:
-        passing = ("SHUTTING_DOWN", "STORAGE_FAILED", "OWNED_ELSEWHERE", "LEASE_LOST", "UNAVAILABLE")
-        return self.code in passing
+        of_server = ("SHUTTING_DOWN", "STORAGE_FAILED", "UNAVAILABLE")
+        of_fleet = ("OWNED_ELSEWHERE", "OWNER_UNREACHABLE", "LEASE_LOST")
+        return self.code in of_server or self.code in of_fleet
 
 
 class NotFoundError(RefusedError):
