@@ -334,3 +334,52 @@ fn lines_and_primitives_move_with_the_key_frames_that_see_them() {
     assert!((keyframe.local_scale - moved.scale).abs() < 1e-12);
     assert!((keyframe.camera_from_world.center() - moved.transform(&walk.cameras[5].center())).norm() < 1e-9);
 }
+
+/// Has keyframes show world directions, one primitive each.
+fn show_primitive(map: &mut Map, seen_by: &[usize], direction: Vector3<f64>) {
+    let covariance = geometry::nalgebra::Matrix3::identity() * 1e-4;
+    let axis = geometry::Direction::new(direction).unwrap();
+    let mut primitive = None;
+    for id in seen_by.iter().map(|index| keyframe_id(*index)) {
+        let keyframe = map.keyframe(id).unwrap();
+        let direction = keyframe.camera_from_world.rotation * direction;
+        let mut vanishing = keyframe.vanishing.to_vec();
+        let vanishing_idx = vanishing.len() as u32;
+        vanishing.push(crate::map::VanishingObservation {
+            direction,
+            covariance,
+            segments: Vec::new(),
+            primitive: None,
+        });
+        map.set_vanishing(id, vanishing);
+        let primitive =
+            *primitive.get_or_insert_with(|| map.add_primitive(SubmapId(0), axis, covariance, id).unwrap());
+        let seen = crate::map::PrimitiveObservation { keyframe: id, vanishing_idx };
+        map.add_primitive_observation(primitive, seen);
+    }
+}
+
+#[test]
+fn a_place_turned_about_its_vertical_is_another_place() {
+    let about_vertical = |degrees: f64| {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), degrees.to_radians());
+        Similarity::from_pose(&Pose::new(turn, Vector3::zeros()))
+    };
+    let agrees = |map: &Map, degrees: f64| {
+        let current = map.keyframe(keyframe_id(40)).unwrap();
+        let place = Place { keyframes: vec![keyframe_id(0)], points: Vec::new() };
+        verification::directions_agree(map, current, &[], &place, &about_vertical(degrees), 3.0)
+    };
+    let mut map = Walk::ring(SVector::zeros()).map();
+    assert!(agrees(&map, 30.0), "there is nothing to compare");
+    show_primitive(&mut map, &[0, 40], Vector3::z());
+    assert!(agrees(&map, 30.0), "the vertical says nothing of a turn about it");
+    show_primitive(&mut map, &[0, 40], Vector3::x());
+    assert!(agrees(&map, 2.0) && !agrees(&map, 30.0) && !agrees(&map, -90.0));
+    // What each side sees of its own may point anywhere.
+    let mut map = Walk::ring(SVector::zeros()).map();
+    show_primitive(&mut map, &[0, 40], Vector3::z());
+    show_primitive(&mut map, &[0], Vector3::x());
+    show_primitive(&mut map, &[40], Vector3::x());
+    assert!(agrees(&map, 30.0));
+}

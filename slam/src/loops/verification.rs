@@ -4,10 +4,11 @@
 use super::Place;
 use super::alignment::{MAX_SQUARED_ERROR, camera_from_place, find_place_points};
 use crate::config::{LoopConfig, SlamConfig};
-use crate::map::{Keyframe, KeyframeId, Map, PointLandmark, median_depth};
+use crate::map::{Keyframe, KeyframeId, Map, PointLandmark, PrimitiveId, median_depth};
 use crate::matching::PredictedView;
 use geometry::nalgebra::Vector3;
 use geometry::{Direction, Similarity};
+use std::collections::BTreeMap;
 
 /// Neighbors of the new keyframe that are asked, most shared points first.
 const N_ASKED_NEIGHBORS: usize = 6;
@@ -119,7 +120,11 @@ fn is_drift(
 
 /// Whether the directions of the world seen on both sides fall on one another. Nothing to compare is no
 /// objection.
-fn directions_agree(
+///
+/// A primitive that both sides show says by itself how far the attitude has drifted: each must be turned onto
+/// itself, so that a room is not taken for itself turned about its vertical. Others are compared with the nearest
+/// of the other side.
+pub(super) fn directions_agree(
     map: &Map,
     current: &Keyframe,
     neighbors: &[&Keyframe],
@@ -127,34 +132,43 @@ fn directions_agree(
     place_from_current: &Similarity,
     max_error_deg: f64,
 ) -> bool {
-    let here: Vec<Direction> = std::iter::once(current)
+    let here: Vec<(PrimitiveId, Direction)> = std::iter::once(current)
         .chain(neighbors.iter().copied())
         .flat_map(directions)
-        .map(|direction| direction.rotated(&place_from_current.rotation))
+        .map(|(id, direction)| (id, direction.rotated(&place_from_current.rotation)))
         .collect();
-    let there: Vec<Direction> =
+    let there: Vec<(PrimitiveId, Direction)> =
         place.keyframes.iter().filter_map(|id| map.keyframe(*id)).flat_map(directions).collect();
     if here.is_empty() || there.is_empty() {
         return true;
     }
-    let nearest_deg = |direction: &Direction| {
-        there.iter().map(|other| direction.angle(other).to_degrees()).fold(f64::INFINITY, f64::min)
-    };
-    let mut errors: Vec<f64> = here.iter().map(nearest_deg).filter(|error| *error < UNRELATED_DEG).collect();
-    if errors.is_empty() {
+    let mut of_shared: BTreeMap<PrimitiveId, Vec<f64>> = BTreeMap::new();
+    for (id, direction) in &here {
+        let same = there.iter().filter(|(other, _)| other == id);
+        let errors = same.map(|(_, other)| direction.angle(other).to_degrees());
+        of_shared.entry(*id).or_default().extend(errors);
+    }
+    if of_shared.into_values().filter_map(median).any(|error| error > max_error_deg) {
         return false;
     }
-    // The median: single vanishing points are noisy, or wrong.
-    let middle = errors.len() / 2;
-    *errors.select_nth_unstable_by(middle, f64::total_cmp).1 <= max_error_deg
+    let nearest_deg = |(_, direction): &(PrimitiveId, Direction)| {
+        there.iter().map(|(_, other)| direction.angle(other).to_degrees()).fold(f64::INFINITY, f64::min)
+    };
+    let errors = here.iter().map(nearest_deg).filter(|error| *error < UNRELATED_DEG).collect();
+    median(errors).is_some_and(|error| error <= max_error_deg)
 }
 
-/// The world directions of the vanishing points of a keyframe that belong to a global primitive.
-fn directions(keyframe: &Keyframe) -> impl Iterator<Item = Direction> + '_ {
+/// The middle one: single vanishing points are noisy, or wrong.
+fn median(mut errors: Vec<f64>) -> Option<f64> {
+    let middle = errors.len() / 2;
+    (!errors.is_empty()).then(|| *errors.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// The primitives whose vanishing points a keyframe shows, and where these point in the world.
+fn directions(keyframe: &Keyframe) -> impl Iterator<Item = (PrimitiveId, Direction)> + '_ {
     let world_from_camera = keyframe.camera_from_world.rotation.inverse();
     keyframe
         .vanishing
         .iter()
-        .filter(|seen| seen.primitive.is_some())
-        .filter_map(move |seen| Direction::new(world_from_camera * seen.direction))
+        .filter_map(move |seen| Some((seen.primitive?, Direction::new(world_from_camera * seen.direction)?)))
 }
