@@ -34,6 +34,11 @@ pub struct InitializationConfig {
     /// A second motion whose cost over all matches is below this many times the best one's makes the pair
     /// ambiguous. Default 1.3.
     pub min_runner_up_cost_ratio: f64,
+    /// A second motion whose cost over all matches is above the best one's by less than this, χ², makes the pair
+    /// ambiguous too, at first; later less is asked for, as of the direction. Default 25: among few matches the
+    /// errors of some, which are not independent, may speak for the wrong one of the two motions that a plane
+    /// allows. True maps led by 30 and more, a wrong one by 16.
+    pub min_runner_up_lead: f64,
     /// Least parallax, reached by the widest fiftieth point, degrees. Default 1.0: below it depth is noise.
     pub min_parallax_deg: f64,
     /// Largest standard deviation of the direction of motion, degrees. Default 1.0: turning and moving
@@ -62,6 +67,7 @@ impl Default for InitializationConfig {
             min_points: 50,
             min_inlier_share: 0.7,
             min_runner_up_cost_ratio: 1.3,
+            min_runner_up_lead: 25.0,
             min_parallax_deg: 1.0,
             max_direction_sigma_deg: 1.0,
             patience_views: 90,

@@ -160,13 +160,14 @@ impl Initializer {
         }
         let hypothesis = self.hypothesis();
         let [first, second] = &[first, second].map(|view| with_camera(view, hypothesis.as_ref()));
-        let motion = two_view::solve(&first.features, &second.features, matches, &self.config, rng)?;
+        let config = self.relaxed();
+        let motion = two_view::solve(&first.features, &second.features, matches, &config, rng)?;
         let (mut pair, mut direction_sigma_deg) = refine(first, second, matches, &motion);
         if let Some([first, second]) = self.unroll(&pair, rng) {
             (pair, direction_sigma_deg) = refine(&first, &second, matches, &motion);
         }
         let n_agreeing = pair.points.len();
-        let required_deg = self.max_direction_sigma_deg();
+        let required_deg = config.max_direction_sigma_deg;
         if direction_sigma_deg > required_deg {
             return Err(InitializationWait::UncertainMotion { direction_sigma_deg, required_deg });
         }
@@ -195,12 +196,16 @@ impl Initializer {
         (n > 0).then(|| self.hypotheses[self.n_waited % n])
     }
 
-    /// How well the direction of motion must be known. A camera that has moved for long without a good pair
-    /// will hardly offer a better one, so less is asked for with time.
-    fn max_direction_sigma_deg(&self) -> f64 {
+    /// How well the direction of motion must be known, and how far a motion must lead. A camera that has moved for
+    /// long without a good pair will hardly offer a better one, so less is asked for with time.
+    fn relaxed(&self) -> InitializationConfig {
         let patience = self.config.patience_views.max(1) as f64;
-        let relaxation = 1.0 + self.n_waited as f64 / patience;
-        self.config.max_direction_sigma_deg * relaxation.min(MAX_RELAXATION)
+        let relaxation = (1.0 + self.n_waited as f64 / patience).min(MAX_RELAXATION);
+        InitializationConfig {
+            max_direction_sigma_deg: self.config.max_direction_sigma_deg * relaxation,
+            min_runner_up_lead: self.config.min_runner_up_lead / relaxation,
+            ..self.config.clone()
+        }
     }
 
     /// A further view must see the points where the motion puts them: one between the two, or else one before

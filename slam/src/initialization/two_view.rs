@@ -63,8 +63,9 @@ pub(super) fn solve(
     let n_agreeing = best.n_agreeing;
     // Nearly equal motions are the same motion found twice.
     let runner_up = refined.find(|(_, other)| differs(&best.second_from_first, &other.second_from_first));
-    let is_rivalled =
-        runner_up.as_ref().is_some_and(|(cost, _)| *cost < config.min_runner_up_cost_ratio * best_cost);
+    let min_cost =
+        f64::max(config.min_runner_up_cost_ratio * best_cost, best_cost + config.min_runner_up_lead);
+    let is_rivalled = runner_up.as_ref().is_some_and(|(cost, _)| *cost < min_cost);
     let n_runner_up = runner_up.map_or(0, |(_, other)| other.n_agreeing);
     // Without parallax every motion of the same rotation explains the matches, so that is the reason to give.
     if best.parallax_deg < config.min_parallax_deg {
