@@ -32,6 +32,8 @@ pub enum ErrorCode {
     SessionBusy,
     /// There is no such operation.
     OperationNotFound,
+    /// Other sessions' cameras extend the session's map, or it extends another's.
+    MapShared,
     /// The two sessions cannot be joined.
     CannotMerge,
     /// The scale cannot be found from what was given.
@@ -106,6 +108,7 @@ impl ErrorCode {
             Self::WriterConnected => "WRITER_CONNECTED",
             Self::SessionBusy => "SESSION_BUSY",
             Self::OperationNotFound => "OPERATION_NOT_FOUND",
+            Self::MapShared => "MAP_SHARED",
             Self::CannotMerge => "CANNOT_MERGE",
             Self::ScaleUndetermined => "SCALE_UNDETERMINED",
             Self::TakenOver => "TAKEN_OVER",
@@ -151,6 +154,7 @@ impl ErrorCode {
             Self::WriterConnected => "A writer is connected",
             Self::SessionBusy => "An operation works on the session",
             Self::OperationNotFound => "No such operation",
+            Self::MapShared => "Several sessions share the map",
             Self::CannotMerge => "The sessions cannot be joined",
             Self::ScaleUndetermined => "The scale cannot be found",
             Self::TakenOver => "Another client took the session over",
@@ -191,9 +195,11 @@ impl ErrorCode {
             | Self::NotFound => Code::NotFound,
             Self::MethodNotAllowed => Code::Unimplemented,
             Self::SessionExists => Code::AlreadyExists,
-            Self::WriterConnected | Self::SessionBusy | Self::CannotMerge | Self::ScaleUndetermined => {
-                Code::FailedPrecondition
-            }
+            Self::WriterConnected
+            | Self::SessionBusy
+            | Self::MapShared
+            | Self::CannotMerge
+            | Self::ScaleUndetermined => Code::FailedPrecondition,
             Self::TakenOver | Self::IdleStream => Code::Aborted,
             Self::Unauthenticated => Code::Unauthenticated,
             Self::Forbidden | Self::WrongHost | Self::ForeignOrigin => Code::PermissionDenied,
@@ -231,6 +237,7 @@ impl ErrorCode {
             Self::SessionExists
             | Self::WriterConnected
             | Self::SessionBusy
+            | Self::MapShared
             | Self::CannotMerge
             | Self::TakenOver
             | Self::OwnedElsewhere
@@ -344,6 +351,7 @@ impl From<StoreError> for ApiError {
         let code = match &error {
             StoreError::SessionNotFound { .. } => ErrorCode::SessionNotFound,
             StoreError::SessionExists { .. } => ErrorCode::SessionExists,
+            StoreError::MapInUse { .. } => ErrorCode::MapShared,
             StoreError::OutOfRange { .. } => ErrorCode::InvalidArgument,
             StoreError::DiskFull(_) => ErrorCode::StorageFull,
             StoreError::Io(_)
@@ -364,6 +372,7 @@ impl From<StoreError> for ApiError {
             // The key holds the owner, which callers do not say.
             StoreError::SessionNotFound { id } => return Self::session_not_found(name_in(id)),
             StoreError::SessionExists { id } => format!("there is already a session {:?}", name_in(id)),
+            StoreError::MapInUse { id, by } => in_use(name_in(id), name_in(by)),
             StoreError::OwnedElsewhere { id, owner } => {
                 let (name, Owner { grpc_url, http_url, .. }) = (name_in(id), owner);
                 format!("another server works with session {name:?}: ask it, at {grpc_url} or {http_url}")
@@ -380,6 +389,10 @@ impl From<StoreError> for ApiError {
         };
         Self { owner, ..Self::new(code, message) }
     }
+}
+
+fn in_use(id: &str, by: &str) -> String {
+    format!("session {by:?} has its camera extend the map of session {id:?}; delete that one first")
 }
 
 /// What callers call the session of a key.

@@ -202,6 +202,51 @@ pub fn engine_config_of(record: &SessionRecord) -> Result<SlamConfig, ApiError> 
     Ok(config)
 }
 
+/// The engine's configuration for a session whose camera extends the map of another, `map`: what concerns the
+/// map is as that says.
+///
+/// # Errors
+/// As [`engine_config_of`].
+pub fn engine_config_of_added(map: &SessionRecord, record: &SessionRecord) -> Result<SlamConfig, ApiError> {
+    let (of_map, own) = (&map.options, &record.options);
+    let options = store::SessionOptions {
+        seed: own.seed,
+        n_features: own.n_features,
+        find_mask: own.find_mask,
+        readout_ms: own.readout_ms,
+        ..of_map.clone()
+    };
+    let record = SessionRecord { options, ..record.clone() };
+    Ok(engine_config_of(&record)?.of_added_camera())
+}
+
+/// The options that a session has whose camera extends another's map.
+///
+/// # Errors
+/// With a violation per option that concerns the map.
+pub fn check_added_options(options: &SessionOptions) -> Result<(), ApiError> {
+    let of_map = [
+        ("deterministic", options.deterministic.is_some()),
+        ("points", options.points.is_some()),
+        ("lines", options.lines.is_some()),
+        ("global_primitives", options.global_primitives.is_some()),
+        ("loop_closing", options.loop_closing.is_some()),
+        ("refine_calibration", options.refine_calibration.is_some()),
+        ("max_keyframes", options.max_keyframes.is_some()),
+        ("calibration", options.calibration.is_some()),
+        ("give_up_calibration", options.give_up_calibration.is_some()),
+    ];
+    let given = of_map.into_iter().filter(|(_, is_given)| *is_given);
+    let violations: Vec<FieldViolation> = given
+        .map(|(name, _)| FieldViolation {
+            field: format!("options.{name}"),
+            description: "concerns the map: it is as the session says whose map it is, leave it out here"
+                .into(),
+        })
+        .collect();
+    if violations.is_empty() { Ok(()) } else { Err(ApiError::invalid_fields(violations)) }
+}
+
 /// The camera whose pixels a stored session's features are in.
 ///
 /// # Errors

@@ -11,10 +11,13 @@ use crate::localization::Localization;
 use crate::maps::{MapQueries, Observed, SceneParts, masks};
 use crate::motion::Motion;
 use crate::operations::{Operations, Tools};
-use crate::options::{SessionOptions, camera_to_begin_with, camera_warnings, check_camera, engine_config};
+use crate::options::{
+    SessionOptions, camera_to_begin_with, camera_warnings, check_added_options, check_camera, engine_config,
+    is_of_size_alone,
+};
 use crate::page::{Page, PageRequest};
 use crate::session::{
-    self, FrameQueue, OpenRequest, Registry, Replies, Reply, SessionId, SessionView, ShownFrame,
+    self, FrameQueue, OWNER_END, OpenRequest, Registry, Replies, Reply, SessionId, SessionView, ShownFrame,
 };
 use crate::soundness::Soundness;
 use bytes::Bytes;
@@ -60,8 +63,11 @@ pub struct Service {
 pub struct NewSession {
     /// Its id; `None` lets the server make one.
     pub id: Option<SessionId>,
-    /// Its camera.
-    pub camera: CameraParameters,
+    /// The session whose map its camera extends, or one that extends it too; `None` gives it a map of its
+    /// own.
+    pub map: Option<SessionId>,
+    /// Its camera; may be left out where it extends a map and is like the map's own.
+    pub camera: Option<CameraParameters>,
     /// The session's options.
     pub options: SessionOptions,
     /// The file of a picture that is dark where nothing of its images is to be used.
@@ -151,14 +157,25 @@ impl Service {
         &self.registry
     }
 
-    /// Makes a session.
+    /// Makes a session, with a map of its own or one more camera on another's.
     ///
     /// # Errors
-    /// If the camera or an option cannot be used, the id is taken, or there are too many sessions.
+    /// If the camera or an option cannot be used, the id is taken, there are too many sessions, or the map
+    /// cannot be extended.
     pub async fn create_session(&self, caller: &Caller, new: NewSession) -> Result<SessionView, ApiError> {
         self.registry.check_open()?;
-        let NewSession { id, camera, options, mask } = new;
-        let (camera, options) = camera_to_begin_with(camera, options);
+        let NewSession { id, map, camera, options, mask } = new;
+        let map = match map {
+            Some(other) => Some((other.clone(), self.store.map_of(other.as_str()).await?)),
+            None => None,
+        };
+        let (camera, options) = match &map {
+            Some((_, map)) => added_camera(map, camera, options)?,
+            None => {
+                let camera = camera.ok_or_else(|| ApiError::invalid("camera", "a session needs a camera"))?;
+                camera_to_begin_with(camera, options)
+            }
+        };
         check_image_size(&camera, self.config().limits.max_image_pixels)?;
         let camera = check_camera(camera)?;
         engine_config(&options)?;
@@ -174,11 +191,28 @@ impl Service {
             return Err(ApiError::new(ErrorCode::TooManySessions, sentence));
         }
         self.check_room_for_session(caller).await?;
-        let id = id.unwrap_or_else(|| SessionId::generate(caller.owner()));
+        let owner = match &map {
+            Some((other, _)) => owner_of(other.as_str()),
+            None => caller.owner(),
+        };
+        let id = id.unwrap_or_else(|| SessionId::generate(owner));
+        if map.is_some() && owner_of(id.as_str()) != owner {
+            return Err(ApiError::invalid(
+                "map",
+                "is another owner's: only sessions of one owner share a map",
+            ));
+        }
         let created_at_ns = crate::clock::since_1970_ns();
         let (id_text, options) = (id.as_str().to_owned(), options.into());
         let camera = camera.parameters().clone();
-        let new = store::NewSession { id: id_text, camera, options, created_at_ns, mask, map: None };
+        let new = store::NewSession {
+            id: id_text,
+            camera,
+            options,
+            created_at_ns,
+            mask,
+            map: map.map(|(_, map)| map.id),
+        };
         let record = self.store.create_session(&new).await?;
         *n_sessions += 1;
         access::record(caller, Change::Created, &id);
@@ -214,12 +248,17 @@ impl Service {
         Ok(Page::of(store::Page { items: stored.items, next }, view))
     }
 
-    /// Deletes a session with its map.
+    /// Deletes a session with its map, or, where it extends another's, with its trajectory: what it has put
+    /// into that map stays.
     ///
     /// # Errors
-    /// If there is none of this id, or a writer is connected.
+    /// If there is none of this id, a writer is connected, or others extend its map.
     pub async fn delete_session(&self, caller: &Caller, id: &SessionId) -> Result<(), ApiError> {
         self.store.get_session(id.as_str()).await?;
+        // Before it is taken out of memory; in the database it is looked at once more.
+        if let Some(by) = self.store.cameras_of(id.as_str()).await?.into_iter().next() {
+            return Err(StoreError::MapInUse { id: id.as_str().to_owned(), by }.into());
+        }
         let delete = async { Ok(self.store.delete_session(id.as_str()).await?) };
         self.registry.delete(id, delete).await?;
         self.soundness.forget(id.as_str());
@@ -242,8 +281,12 @@ impl Service {
         self.registry.check_open()?;
         self.store.get_session(id.as_str()).await?;
         let change = async {
-            let before = SessionOptions::from(self.store.get_session(id.as_str()).await?.options);
+            let record = self.store.get_session(id.as_str()).await?;
+            let before = SessionOptions::from(record.options);
             let options = before.changed(options);
+            if record.map.is_some() {
+                check_added_options(&options)?;
+            }
             engine_config(&options)?;
             let changes = SessionChanges { options: Some(options.into()), ..SessionChanges::default() };
             Ok(self.store.update_session(id.as_str(), &changes).await?)
@@ -410,8 +453,14 @@ impl Service {
     fn view(&self, id: &SessionId, record: SessionRecord) -> SessionView {
         let loaded = self.registry.view(id);
         let damage = self.soundness.damage(id.as_str());
-        SessionView { id: id.to_string(), damage, ..SessionView::of(record, loaded) }
+        let map = record.map.as_ref().map(|map| id.beside(map).to_string());
+        SessionView { id: id.to_string(), damage, map, ..SessionView::of(record, loaded) }
     }
+}
+
+/// Whose session it is, as its key says.
+fn owner_of(key: &str) -> Option<&str> {
+    key.split_once(OWNER_END).map(|(owner, _)| owner)
 }
 
 /// Ends a stream when its client's token is revoked, or what its owner stores is as much as it may be.
@@ -442,6 +491,30 @@ async fn check_stored_bytes(store: &Store, caller: &Caller) -> Result<(), ApiErr
         "the sessions hold {n_bytes} bytes, and {limit} is what this token may store; delete some first"
     );
     Err(ApiError::new(ErrorCode::QuotaExceeded, sentence))
+}
+
+/// The camera that is to extend a map, and its options.
+fn added_camera(
+    map: &SessionRecord,
+    camera: Option<CameraParameters>,
+    options: SessionOptions,
+) -> Result<(CameraParameters, SessionOptions), ApiError> {
+    if map.options.deterministic == Some(true) {
+        let sentence = "is deterministic: in which order frames of several cameras come is chance, so that nothing would \
+                        repeat";
+        return Err(ApiError::invalid("map", sentence));
+    }
+    check_added_options(&options)?;
+    let Some(camera) = camera else {
+        let readout_ms = options.readout_ms.or(map.options.readout_ms);
+        return Ok((map.camera.clone(), SessionOptions { readout_ms, ..options }));
+    };
+    if is_of_size_alone(&camera) {
+        let sentence = "a camera that extends another's map needs its calibration (fx, fy, cx, cy), or is left out where it \
+                        is like the map's own";
+        return Err(ApiError::invalid("camera", sentence));
+    }
+    Ok((camera, options))
 }
 
 fn no_frame(id: &SessionId, sequence: u64) -> ApiError {

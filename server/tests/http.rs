@@ -125,7 +125,7 @@ async fn wrong_fields_are_named() {
     let mut wrong_model = kitchen();
     wrong_model["camera"]["model"] = json!("fish");
     for (request, word) in
-        [(unknown_field, "focal"), (wrong_model, "fish"), (json!({}), "camera"), (json!([]), "body")]
+        [(unknown_field, "focal"), (wrong_model, "fish"), (json!({}), "camera"), (json!([]), "camera")]
     {
         let answer = api.post("/v1/sessions", &request).await;
         assert_eq!(answer.status, StatusCode::BAD_REQUEST, "{request}");

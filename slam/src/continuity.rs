@@ -20,8 +20,8 @@ pub(crate) struct Reach {
 }
 
 impl Reach {
-    /// From the keyframes that a camera made before `timestamp_ns`; `None` where it was long ago or the speed is
-    /// unknown. Clocks of cameras have nothing to do with each other.
+    /// From the keyframes that a camera made before `timestamp_ns`; `None` where it was long ago or the speed
+    /// is unknown. Clocks of cameras have nothing to do with each other.
     pub fn after_keyframes(
         map: &Map,
         submap: SubmapId,

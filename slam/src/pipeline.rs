@@ -256,6 +256,10 @@ impl Pipeline {
             return None;
         }
         let found = self.tracker.find_elsewhere(view, &self.map, self.submaps.current())?;
+        // Before the own one may go: were two cameras found in each other's, both would go.
+        if let Some(frame) = &found.frame {
+            self.mapping.visit(frame.submap);
+        }
         if self.mapping.is_shared(self.submaps.current()) {
             self.trajectory.keep_submap();
         } else {

@@ -1,7 +1,7 @@
 //! Several cameras of one map: sessions whose frames hang on keyframes of another session's map.
 //!
-//! The map is in the rows of the session it began with. Others name that session in `sessions.map`, have their
-//! frames, segments, masks and readings as any session, and a number among the map's cameras.
+//! The map is in the rows of the session it began with. Others name that session in `sessions.map`, have
+//! their frames, segments, masks and readings as any session, and a number among the map's cameras.
 
 use crate::engine::{Connection, Row, query};
 use crate::mask::read_mask;
@@ -268,6 +268,42 @@ impl Store {
         select.bind(map).scalars(&mut self.reader().await?).await
     }
 
+    /// The session whose map a session's is, as if its camera were the one that took a keyframe.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn record_of_keyframe(
+        &self,
+        id: &str,
+        keyframe: KeyframeId,
+    ) -> Result<SessionRecord, StoreError> {
+        let map = self.map_of(id).await?;
+        let Some(camera) = self.added_camera_of(id, keyframe).await?.filter(|camera| *camera != map.camera)
+        else {
+            return Ok(map);
+        };
+        let correction = geometry::CameraCorrection::default();
+        Ok(SessionRecord {
+            camera,
+            correction,
+            enlarges_small_images: true,
+            enlarges_for_border: false,
+            ..map
+        })
+    }
+
+    /// The session whose map a session's is, which may be itself.
+    ///
+    /// # Errors
+    /// [`StoreError::SessionNotFound`].
+    pub async fn map_of(&self, id: &str) -> Result<SessionRecord, StoreError> {
+        let record = self.get_session(id).await?;
+        match &record.map {
+            Some(map) => self.get_session(map).await,
+            None => Ok(record),
+        }
+    }
+
     /// The calibration of each camera that was added to a session's map, and which keyframe was taken by one.
     ///
     /// # Errors
@@ -367,8 +403,8 @@ pub(crate) async fn check_unused(connection: &mut Connection, id: &str) -> Resul
     }
 }
 
-/// Whose map a session's is if not its own, which of its cameras it is, and the highest number that was given to
-/// a camera of its own map.
+/// Whose map a session's is if not its own, which of its cameras it is, and the highest number that was given
+/// to a camera of its own map.
 pub(crate) fn read_map(row: &Row) -> Result<(Option<String>, CameraId, CameraId), StoreError> {
     let (own, last): (i64, i64) = (row.try_get("camera_number")?, row.try_get("last_camera_number")?);
     Ok((row.try_get("map")?, camera_id(own)?, camera_id(last)?))

@@ -1,7 +1,6 @@
 //! A whole map, piece by piece, as of one commit.
 
 use crate::blob::positions;
-use crate::cameras::map_number;
 use crate::engine::{Connection, query};
 use crate::keyframes::select_keyframes;
 use crate::lines::{LineCursor, LineQuery};
@@ -30,14 +29,16 @@ impl Store {
     /// [`StoreError::SessionNotFound`].
     pub async fn snapshot(&self, session: &str) -> Result<MapSnapshot, StoreError> {
         let mut transaction = self.begin_read().await?;
-        let (_, record) = read_session(&mut transaction, session).await?;
-        let session = map_number(&mut transaction, session).await?;
+        let (mut session, mut record) = read_session(&mut transaction, session).await?;
+        if let Some(map) = record.map {
+            (session, record) = read_session(&mut transaction, &map).await?;
+        }
         Ok(MapSnapshot { transaction, session, record })
     }
 }
 
 impl MapSnapshot {
-    /// The session.
+    /// The session whose map it is.
     pub fn record(&self) -> &SessionRecord {
         &self.record
     }

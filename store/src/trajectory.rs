@@ -151,8 +151,8 @@ const SELECT_FRAMES: &str = "SELECT sequence, timestamp_ns, state, backfilled, r
      AND timestamp_ns BETWEEN $4 AND $5 ORDER BY sequence LIMIT $6";
 
 /// Keyframes are few: those of the whole session are no more than a few steps' worth of frames. Times and
-/// numbers of frames rise together, so one order is the other. State 2 is tracked. A keyframe is a pose of the
-/// session whose camera took it.
+/// numbers of frames rise together, so one order is the other. State 2 is tracked. A keyframe is a pose of
+/// the session whose camera took it.
 const SELECT_KEYFRAMES: &str = "SELECT sequence, timestamp_ns, CAST(2 AS BIGINT), FALSE, id, qx, qy, qz, qw, tx, ty, tz \
      FROM keyframes WHERE session = $1 AND sequence >= $2 AND sequence <= $3 \
      AND timestamp_ns BETWEEN $4 AND $5 AND camera = $7 ORDER BY sequence LIMIT $6";

@@ -60,7 +60,7 @@ impl Lab {
             session_id: id.into(),
             camera: Some(camera(320, 240)),
             options: None,
-            mask: Vec::new(),
+            ..v1::CreateSessionRequest::default()
         };
         let answer = self.server.client().await.create_session(with_token(token, request)).await;
         answer.map(tonic::Response::into_inner)

@@ -50,7 +50,7 @@ async fn an_impossible_calibration_is_refused_by_the_name_of_its_field() {
         session_id: "never".into(),
         camera: None,
         options: None,
-        mask: Vec::new(),
+        ..v1::CreateSessionRequest::default()
     };
     assert_eq!(field_of(&client.create_session(missing).await.unwrap_err()), "camera");
     assert_eq!(server.get_json("/v1/sessions").await["sessions"], serde_json::json!([]));
@@ -132,7 +132,7 @@ async fn options_that_contradict_each_other_are_refused_by_name() {
         session_id: "contradiction".into(),
         camera: Some(camera(640, 480)),
         options: Some(options),
-        mask: Vec::new(),
+        ..v1::CreateSessionRequest::default()
     };
     let status = client.create_session(request).await.unwrap_err();
     assert_eq!(field_of(&status), "options.global_primitives");

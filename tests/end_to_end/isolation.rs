@@ -89,7 +89,7 @@ pub async fn owners() -> Owners {
         session_id: SESSION.into(),
         camera: Some(world.camera()),
         options: None,
-        mask: Vec::new(),
+        ..v1::CreateSessionRequest::default()
     };
     client.create_session(with_token(&ann, new)).await.unwrap();
     let messages = [
@@ -189,7 +189,7 @@ async fn no_call_tells_of_anothers_session() {
         session_id: SESSION.into(),
         camera: Some(tests::camera(320, 240)),
         options: None,
-        mask: Vec::new(),
+        ..v1::CreateSessionRequest::default()
     };
     call(&server, "CreateSession", new.encode_to_vec().into(), Some(&bob)).await.unwrap();
     let mine = call(&server, "GetSession", request("GetSession", SESSION), Some(&ann)).await.unwrap();

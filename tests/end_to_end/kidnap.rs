@@ -14,7 +14,7 @@ use tests::{FrameStream, TestServer, create_session, open_message};
 
 /// Every second frame is sent: fifteen a second, half the work.
 const STEP: usize = 2;
-const INTERVAL_NS: i64 = 66_666_667;
+pub const INTERVAL_NS: i64 = 66_666_667;
 /// Frames of the first visit, in the recording's numbering.
 const N_FIRST_VISIT: usize = 600;
 /// Frames of the second visit within which the place must be found.
@@ -25,13 +25,13 @@ const MAX_ERROR_M: f64 = 0.10;
 const MAX_WORST_ERROR_M: f64 = 0.40;
 
 /// The recording: images and true positions in order.
-struct Recording {
-    images: Vec<PathBuf>,
-    positions: Vec<Vector3<f64>>,
+pub struct Recording {
+    pub images: Vec<PathBuf>,
+    pub positions: Vec<Vector3<f64>>,
 }
 
 impl Recording {
-    fn open() -> Self {
+    pub fn open() -> Self {
         let folder =
             recordings::find_folder("7scenes_redkitchen").unwrap_or_else(|missing| panic!("{missing}"));
         let rows = |file: &str| -> Vec<Vec<String>> {
@@ -48,14 +48,14 @@ impl Recording {
         Self { images, positions }
     }
 
-    fn frame(&self, sequence: u64, index: usize) -> v1::Frame {
+    pub fn frame(&self, sequence: u64, index: usize) -> v1::Frame {
         let data = std::fs::read(&self.images[index]).expect("an image of the recording").into();
         let image = v1::Image { data, ..v1::Image::default() };
         v1::Frame { sequence, timestamp_ns: sequence as i64 * INTERVAL_NS, image: Some(image) }
     }
 }
 
-fn camera() -> v1::Camera {
+pub fn camera() -> v1::Camera {
     let (fx, fy, cx, cy) = (585.0, 585.0, 320.0, 240.0);
     v1::Camera { width: 640, height: 480, fx, fy, cx, cy, ..tests::camera(640, 480) }
 }
@@ -94,7 +94,7 @@ async fn errors(server: &TestServer, recording: &Recording, frames: &BTreeMap<u6
 
 /// Whether a frame has a pose. The recording's calibration is that of its depth camera, which the images
 /// contradict: its poses are weak from when that shows.
-fn is_placed(result: &v1::FrameResult) -> bool {
+pub fn is_placed(result: &v1::FrameResult) -> bool {
     matches!(result.state(), v1::TrackingState::Tracked | v1::TrackingState::Weak)
 }
 

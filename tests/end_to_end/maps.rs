@@ -288,7 +288,7 @@ async fn streams_that_only_localize_leave_every_table_of_the_map_as_it_is() {
     let world = SmallWorld::new(1);
     let (server, mut client) = mapped_room().await;
     let before = map_digest(&server).await;
-    assert_eq!(before.len(), 12, "every table but those of the session and the trajectory");
+    assert_eq!(before.len(), 13, "every table but those of the session and the trajectory");
     let open = v1::OpenStream { mode: v1::StreamMode::LocalizeOnly.into(), ..open_message("room") };
     let stream = FrameStream::open(&mut client, open).await.unwrap();
     let n_located = stream_frames(stream, &world, N_FRAMES..N_FRAMES + 20).await;

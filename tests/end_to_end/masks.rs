@@ -79,6 +79,7 @@ async fn a_mask_that_is_given_is_taken_as_it_is() {
         camera: Some(world.camera()),
         options: None,
         mask,
+        ..v1::CreateSessionRequest::default()
     };
     let made = client.create_session(request("room", border_picture(&camera).to_vec())).await.unwrap();
     let mask = made.into_inner().mask.expect("a mask was given");

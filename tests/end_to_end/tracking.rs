@@ -125,7 +125,7 @@ async fn deterministic_sessions_give_the_same_database_each_time() {
             session_id: "room".into(),
             camera: Some(world.camera()),
             options: Some(options),
-            mask: Vec::new(),
+            ..v1::CreateSessionRequest::default()
         };
         client.create_session(request).await.unwrap();
         let mut stream = FrameStream::open(&mut client, open_message("room")).await.unwrap();

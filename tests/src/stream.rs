@@ -63,7 +63,7 @@ pub async fn create_session(
         session_id: id.to_owned(),
         camera: Some(camera),
         options: None,
-        mask: Vec::new(),
+        ..v1::CreateSessionRequest::default()
     };
     Ok(client.create_session(request).await?.into_inner())
 }

@@ -132,7 +132,7 @@ fn as_json(session: &v1::Session) -> Value {
         })
     });
     json!({
-        "id": session.id, "camera": camera, "refined_camera": refined_camera, "options": options, "created_at_ns": session.created_at_ns,
+        "id": session.id, "map": session.map, "camera": camera, "refined_camera": refined_camera, "options": options, "created_at_ns": session.created_at_ns,
         "state": state_name(session), "frames": session.n_frames, "keyframes": session.n_keyframes,
         "points": session.n_points, "lines": session.n_lines, "primitives": session.n_primitives,
         "submaps": session.n_submaps, "durable_sequence": session.durable_sequence,

@@ -49,6 +49,21 @@ def test_sessions_are_made_listed_changed_and_deleted(client: Client) -> None:
     assert client.session("a") is None
 
 
+def test_a_camera_extends_the_map_of_another_session(client: Client) -> None:
+    client.create_session("a", CAMERA)
+    added = client.create_session("b", None, SessionOptions(n_features=900), map="a")
+    assert (added.map, added.camera, added.options.n_features) == ("a", CAMERA, 900)
+    assert client.create_session("c", Camera(320, 240, 300.0, 300.0, 159.5, 119.5), map="b").map == "a"
+    with pytest.raises(InvalidError) as invalid:
+        client.create_session("d", None, SessionOptions(loop_closing=False), map="a")
+    assert invalid.value.violations[0].field == "options.loop_closing"
+    with pytest.raises(BusyError) as shared:
+        client.delete_session("a")
+    assert shared.value.code == "MAP_SHARED" and "b" in str(shared.value)
+    for session in ("b", "c", "a"):
+        client.delete_session(session)
+
+
 def test_refusals_are_sentences_with_codes(client: Client) -> None:
     client.create_session("a", CAMERA)
     with pytest.raises(ExistsError) as exists:

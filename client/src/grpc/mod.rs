@@ -134,7 +134,39 @@ impl SlamClient {
             camera: Some(camera_message(camera)),
             options: Some(options),
             mask,
+            ..v1::CreateSessionRequest::default()
         };
+        self.create(request).await
+    }
+
+    /// As [`Self::create_session`], one more camera on the map of a session: both localize in it and add to
+    /// it, each with its own stream and trajectory. `camera` may be left out if it is like the map's own; of
+    /// the options only those can be given that do not concern the map.
+    ///
+    /// # Errors
+    /// As there; `NOT_FOUND` if there is no such map, `INVALID_ARGUMENT` also if it is another owner's.
+    pub async fn create_session_on_map(
+        &mut self,
+        session_id: &str,
+        map: &str,
+        camera: Option<&CameraParameters>,
+        options: v1::SessionOptions,
+    ) -> Result<v1::Session, ClientError> {
+        let request = v1::CreateSessionRequest {
+            session_id: session_id.to_owned(),
+            camera: camera.map(camera_message),
+            options: Some(options),
+            map: map.to_owned(),
+            ..v1::CreateSessionRequest::default()
+        };
+        self.create(request).await
+    }
+
+    /// Makes a session as the request says.
+    ///
+    /// # Errors
+    /// As the methods above.
+    pub async fn create(&mut self, request: v1::CreateSessionRequest) -> Result<v1::Session, ClientError> {
         let answer = self.grpc.create_session(request).await;
         self.unpack(answer)
     }

@@ -124,6 +124,9 @@ pub struct Session {
     /// shown one.
     #[prost(message, optional, tag = "23")]
     pub found_readout: ::core::option::Option<Readout>,
+    /// The session whose map its camera extends. Absent if it has one of its own.
+    #[prost(string, optional, tag = "24")]
+    pub map: ::core::option::Option<::prost::alloc::string::String>,
 }
 /// How long a camera takes to read the rows of an image.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
@@ -150,13 +153,20 @@ pub struct CreateSessionRequest {
     /// Letters, digits, '-' and '\_', up to 64; left empty, the server makes one.
     #[prost(string, tag = "1")]
     pub session_id: ::prost::alloc::string::String,
+    /// With `map` it may be left out where the camera is like the map's own.
     #[prost(message, optional, tag = "2")]
     pub camera: ::core::option::Option<Camera>,
+    /// With `map`, those that do not concern the map: seed, n_features, find_mask, readout_ms.
     #[prost(message, optional, tag = "3")]
     pub options: ::core::option::Option<SessionOptions>,
     /// An image file of the camera's size, dark where nothing is to be used; left empty, what is not the scene is found.
     #[prost(bytes = "vec", tag = "4")]
     pub mask: ::prost::alloc::vec::Vec<u8>,
+    /// A session of the same owner, or one that extends the same map: the new session's camera extends that map too. Both cameras
+    /// localize in it and both add to it; each has its own trajectory, stream and durable_sequence. Left empty, the session has a
+    /// map of its own.
+    #[prost(string, tag = "5")]
+    pub map: ::prost::alloc::string::String,
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct GetSessionRequest {
@@ -1631,7 +1641,8 @@ pub mod slam_service_client {
             self.inner = self.inner.max_encoding_message_size(limit);
             self
         }
-        /// Makes a session for one camera. Fails with ALREADY_EXISTS when the chosen id is taken.
+        /// Makes a session for one camera, with a map of its own or on the map of another session, which both then extend at the same
+        /// time. Fails with ALREADY_EXISTS when the chosen id is taken.
         pub async fn create_session(
             &mut self,
             request: impl tonic::IntoRequest<super::CreateSessionRequest>,
@@ -1699,7 +1710,8 @@ pub mod slam_service_client {
                 .insert(GrpcMethod::new("monoslam.v1.SlamService", "ListSessions"));
             self.inner.unary(req, path, codec).await
         }
-        /// Deletes a session with its whole map. Fails with FAILED_PRECONDITION while a writer is connected.
+        /// Deletes a session with its whole map; one that extends the map of another with its trajectory alone. Fails with
+        /// FAILED_PRECONDITION while a writer is connected or other sessions extend its map.
         pub async fn delete_session(
             &mut self,
             request: impl tonic::IntoRequest<super::DeleteSessionRequest>,
@@ -2132,7 +2144,8 @@ pub mod slam_service_server {
     /// Generated trait containing gRPC methods that should be implemented for use with SlamServiceServer.
     #[async_trait]
     pub trait SlamService: std::marker::Send + std::marker::Sync + 'static {
-        /// Makes a session for one camera. Fails with ALREADY_EXISTS when the chosen id is taken.
+        /// Makes a session for one camera, with a map of its own or on the map of another session, which both then extend at the same
+        /// time. Fails with ALREADY_EXISTS when the chosen id is taken.
         async fn create_session(
             &self,
             request: tonic::Request<super::CreateSessionRequest>,
@@ -2149,7 +2162,8 @@ pub mod slam_service_server {
             tonic::Response<super::ListSessionsResponse>,
             tonic::Status,
         >;
-        /// Deletes a session with its whole map. Fails with FAILED_PRECONDITION while a writer is connected.
+        /// Deletes a session with its whole map; one that extends the map of another with its trajectory alone. Fails with
+        /// FAILED_PRECONDITION while a writer is connected or other sessions extend its map.
         async fn delete_session(
             &self,
             request: tonic::Request<super::DeleteSessionRequest>,

@@ -26,12 +26,13 @@ pub(super) fn new_session(
     caller: &Caller,
     request: v1::CreateSessionRequest,
 ) -> Result<NewSession, ApiError> {
-    let v1::CreateSessionRequest { session_id, camera, options, mask } = request;
+    let v1::CreateSessionRequest { session_id, camera, options, mask, map } = request;
     let id = if session_id.is_empty() { None } else { Some(caller.session(&session_id, "session_id")?) };
-    let camera = camera.ok_or_else(|| ApiError::invalid("camera", "a session needs a camera"))?;
+    let map = if map.is_empty() { None } else { Some(caller.session(&map, "map")?) };
+    let camera = camera.map(camera_parameters).transpose()?;
     let options = options.map(SessionOptions::from).unwrap_or_default();
     let mask = (!mask.is_empty()).then(|| mask.into());
-    Ok(NewSession { id, camera: camera_parameters(camera)?, options, mask })
+    Ok(NewSession { id, map, camera, options, mask })
 }
 
 pub(super) fn camera_parameters(camera: v1::Camera) -> Result<CameraParameters, ApiError> {
@@ -151,6 +152,7 @@ pub(super) fn session(view: &SessionView) -> v1::Session {
         mask: view.mask.map(|mask| v1::Mask { share: mask.share, given: mask.is_given }),
         camera_warnings: view.camera_warnings(),
         found_readout: view.readout.map(readout),
+        map: view.map.clone(),
     }
 }
 

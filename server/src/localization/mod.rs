@@ -234,7 +234,15 @@ impl Localization {
         turn: &Turn,
     ) -> Result<Located, ApiError> {
         let begin = Instant::now();
-        let Ready { record, state, mut localizer } = self.ready(id, turn).await?;
+        let asked = self.0.store.get_session(id.as_str()).await?;
+        let map = id.beside(asked.map.as_deref().unwrap_or(id.as_str()));
+        let Ready { record, state, mut localizer } = self.ready(&map, turn).await?;
+        // Nothing is said: it is the session's, which may be another than the map's own.
+        let is_like =
+            |asked: &CameraParameters| (image.width(), image.height()) == (asked.width, asked.height);
+        let others = Some(&asked.camera).filter(|camera| **camera != record.camera && is_like(camera));
+        let others = others.filter(|_| *camera == AskedCamera::Unsaid).cloned().map(AskedCamera::Given);
+        let camera = others.as_ref().unwrap_or(camera);
         let load_ns = begin.elapsed().as_nanos() as u64;
         let units = Units::new(record.metres_per_unit);
         let near = near.map(|(position, radius)| Near {
@@ -262,7 +270,7 @@ impl Localization {
         let located = turn.work(locating).await?;
         let (localizer, found, brightest, locate_ns) = located?;
         let n_keyframes = localizer.map().n_keyframes();
-        self.0.maps.put(id.clone(), state, n_keyframes, localizer);
+        self.0.maps.put(map, state, n_keyframes, localizer);
         let Found { report, covariance, camera } = found;
         Ok(Located {
             session: Some(id.clone()),
@@ -270,7 +278,7 @@ impl Localization {
             covariance: covariance.map(|covariance| in_units(&covariance, units)),
             camera,
             metres_per_unit: record.metres_per_unit,
-            durable_sequence: record.last_frame.map(|(sequence, _)| sequence),
+            durable_sequence: asked.last_frame.map(|(sequence, _)| sequence),
             load_ns,
             locate_ns,
             n_searched: 1,

@@ -58,7 +58,8 @@ impl MapQueries {
         id: &SessionId,
         keyframe_id: KeyframeId,
     ) -> Result<Observed, ApiError> {
-        let camera = working_camera(&self.store.get_session(id.as_str()).await?)?;
+        let record = self.store.record_of_keyframe(id.as_str(), keyframe_id).await?;
+        let camera = working_camera(&record)?;
         let measured = self.store.measured_keyframe(id.as_str(), keyframe_id).await?;
         Ok(of_keyframe(&measured.ok_or_else(|| no_keyframe(id, keyframe_id))?, &camera))
     }

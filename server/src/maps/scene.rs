@@ -226,7 +226,7 @@ impl MapQueries {
             Some(changes) => self.store.points_of(id.as_str(), &changes.map.points).await?,
             None => self.store.points(id.as_str(), store::PointQuery::default()).await?,
         };
-        let working_width_px = working_camera(record)?.width();
+        let working_width_px = working_camera(&self.store.map_of(&record.id).await?)?.width();
         let session =
             Arc::new(ShadedSession { id: id.clone(), created_at_ns: record.created_at_ns, working_width_px });
         let (store, shades) = (self.store.clone(), self.shades.clone());

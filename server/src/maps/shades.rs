@@ -4,6 +4,7 @@
 //! was looked up is kept, within bounds: a keyframe's keypoints and image never change.
 
 use crate::error::ApiError;
+use crate::options::working_camera;
 use crate::session::SessionId;
 use slam::map::{KeyframeId, PointLandmark};
 use std::collections::{BTreeMap, VecDeque};
@@ -91,7 +92,13 @@ impl Shades {
         let image = store.keyframe_image(id, keyframe).await?;
         let grays = match keypoints.zip(image) {
             Some((keypoints, image)) => {
-                let (limits, width) = (self.limits, session.working_width_px);
+                let added = store.added_camera_of(id, keyframe).await?;
+                let width = match added {
+                    // It may have images of another size than the map's own.
+                    Some(_) => working_camera(&store.record_of_keyframe(id, keyframe).await?)?.width(),
+                    None => session.working_width_px,
+                };
+                let limits = self.limits;
                 let sample = move || Some(sample(&decode(&image, &limits)?, &keypoints, width));
                 tokio::task::spawn_blocking(sample).await.map_err(ApiError::internal)?.unwrap_or_default()
             }

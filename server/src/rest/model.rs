@@ -16,9 +16,14 @@ pub struct CreateSession {
     /// Letters, digits, `-` and `_`, up to 64; left out, the server makes one.
     #[serde(default)]
     pub id: Option<String>,
-    /// Its camera.
-    pub camera: Camera,
-    /// The session's options.
+    /// A session, or one that extends the same map: the new camera extends that map too. Left out, the
+    /// session has a map of its own.
+    #[serde(default)]
+    pub map: Option<String>,
+    /// Its camera; may be left out where `map` is given and the camera is like the map's own.
+    #[serde(default)]
+    pub camera: Option<Camera>,
+    /// The session's options; with `map`, those that do not concern the map.
     #[serde(default)]
     pub options: SessionOptions,
 }
@@ -36,6 +41,8 @@ pub struct UpdateSession {
 pub struct Session {
     /// Its name.
     pub id: String,
+    /// The session whose map its camera extends; `null` if it has one of its own.
+    pub map: Option<String>,
     /// Its camera, as it was given.
     pub camera: Camera,
     /// Its camera as it was found to be; `null` while it is used as it was given.
@@ -131,7 +138,10 @@ impl CreateSession {
     pub fn into_new_session(self, caller: &Caller) -> Result<NewSession, ApiError> {
         let id = self.id.filter(|id| !id.is_empty());
         let id = id.map(|id| caller.session(&id, "id")).transpose()?;
-        Ok(NewSession { id, camera: self.camera.into(), options: self.options, mask: None })
+        let map = self.map.filter(|map| !map.is_empty());
+        let map = map.map(|map| caller.session(&map, "map")).transpose()?;
+        let camera = self.camera.map(Into::into);
+        Ok(NewSession { id, map, camera, options: self.options, mask: None })
     }
 }
 
@@ -140,6 +150,7 @@ impl From<SessionView> for Session {
         let camera_warnings = view.camera_warnings();
         Self {
             id: view.id,
+            map: view.map,
             camera_warnings,
             camera: view.camera.into(),
             refined_camera: view.refined_camera.map(Camera::from),

@@ -134,7 +134,7 @@ async fn picked(
     if !pixel.iter().all(|length| length.is_finite()) {
         return Err(ApiError::invalid(field, "must be two finite numbers"));
     }
-    let session = store.get_session(id.as_str()).await?;
+    let session = store.record_of_keyframe(id.as_str(), keyframe).await?;
     let working = working_camera(&session)?.with_correction(session.correction);
     let record = keyframe_record(store, id, keyframe).await?;
     let measured = store.measured_keyframe(id.as_str(), keyframe).await?;

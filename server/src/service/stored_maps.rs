@@ -8,9 +8,10 @@ use crate::operations::{Kind, Operation, Operations};
 use crate::page::MAX_PAGE_SIZE;
 use crate::scale::{self, Measurement, ScaleSource};
 use crate::session::{SessionId, SessionView};
+use slam::map::CameraId;
 use std::hash::{BuildHasher, Hash, Hasher};
 use std::time::Duration;
-use store::SessionChanges;
+use store::{SessionChanges, SessionRecord};
 
 impl Service {
     /// Says how many metres a map unit of a session is: directly, by what somebody measured, or that nobody
@@ -39,10 +40,12 @@ impl Service {
             ));
         }
         let changes = SessionChanges { metres_per_unit: Some(metres_per_unit), ..SessionChanges::default() };
-        let store = async { Ok(self.store.update_session(id.as_str(), &changes).await?) };
-        let record = self.registry.set_scale(id, metres_per_unit, store).await?;
+        // The units are the map's, whoever extends it.
+        let map = id.beside(&self.store.map_of(id.as_str()).await?.id);
+        let store = async { Ok(self.store.update_session(map.as_str(), &changes).await?) };
+        self.registry.set_scale(&map, metres_per_unit, store).await?;
         access::record(caller, Change::Scaled, id);
-        Ok((self.view(id, record), measured))
+        Ok((self.get_session(id).await?, measured))
     }
 
     /// Locates one image in maps, as of their last commits, without changing anything.
@@ -91,7 +94,9 @@ impl Service {
         if page.items.is_empty() {
             return Err(ApiError::invalid("all_sessions", "there is no session to look in"));
         }
-        let sound = page.items.into_iter().filter(|record| self.soundness.require_sound(&record.id).is_ok());
+        // Each map once, whoever extends it.
+        let maps = page.items.into_iter().filter(|record| record.map.is_none());
+        let sound = maps.filter(|record| self.soundness.require_sound(&record.id).is_ok());
         Ok(sound.map(|record| caller.stored(record.id)).collect())
     }
 
@@ -126,7 +131,12 @@ impl Service {
     /// If there is none of this id, a client streams into it, another operation works on it, or too many
     /// wait.
     pub async fn optimize(&self, caller: &Caller, id: &SessionId) -> Result<Operation, ApiError> {
-        self.check_idle(id, "adjusting its map").await?;
+        let record = self.check_idle(id, "adjusting its map").await?;
+        if let Some(map) = record.map {
+            let map = id.beside(&map);
+            let sentence = format!("session {id} extends the map of session {map}: have that one adjusted");
+            return Err(ApiError::new(ErrorCode::MapShared, sentence));
+        }
         let begun = self.operations.begin(caller, Kind::Optimize, id, None)?;
         access::record(caller, Change::Optimized, id);
         Ok(begun)
@@ -142,8 +152,15 @@ impl Service {
         into: &SessionId,
         from: &SessionId,
     ) -> Result<Operation, ApiError> {
-        self.check_idle(into, "joining it with another").await?;
-        self.check_idle(from, "joining it with another").await?;
+        for id in [into, from] {
+            let record = self.check_idle(id, "joining it with another").await?;
+            if record.map.is_some() || record.last_camera != CameraId::default() {
+                let sentence = format!(
+                    "the map of session {id} is of several cameras; such maps cannot be joined with others"
+                );
+                return Err(ApiError::new(ErrorCode::MapShared, sentence));
+            }
+        }
         if into == from {
             return Err(ApiError::invalid("from", "must be another session than the one it is joined with"));
         }
@@ -158,14 +175,14 @@ impl Service {
         &self.operations
     }
 
-    async fn check_idle(&self, id: &SessionId, purpose: &str) -> Result<(), ApiError> {
+    async fn check_idle(&self, id: &SessionId, purpose: &str) -> Result<SessionRecord, ApiError> {
         self.registry.check_open()?;
-        self.store.get_session(id.as_str()).await?;
+        let record = self.store.get_session(id.as_str()).await?;
         self.soundness.require_sound(id.as_str())?;
         if self.registry.view(id).is_some_and(|view| view.has_writer) {
             let sentence = format!("a client streams into session {id}; end its stream before {purpose}");
             return Err(ApiError::new(ErrorCode::WriterConnected, sentence));
         }
-        Ok(())
+        Ok(record)
     }
 }

@@ -55,6 +55,11 @@ impl SessionId {
         Self { key, shown_from }
     }
 
+    /// Another session of the same owner, by its key, as who sees this one sees it.
+    pub fn beside(&self, key: &str) -> Self {
+        Self { key: key.to_owned(), shown_from: self.shown_from }
+    }
+
     /// A new id nobody can guess, of this owner's if there is one.
     pub fn generate(owner: Option<&str>) -> Self {
         const ALPHABET: &[u8; 32] = b"abcdefghijklmnopqrstuvwxyz234567";

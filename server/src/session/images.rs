@@ -6,7 +6,7 @@
 use super::frame::{Encoding, SentImage};
 use png::{BitDepth, ColorType, Compression, Encoder, Filter};
 use slam::MapUpdate;
-use slam::map::{FrameState, KeyframeId};
+use slam::map::{CameraId, FrameState, KeyframeId};
 use std::collections::VecDeque;
 use store::{KeyframeImage, StoredImage};
 use vision::decode::{DecodeLimits, FileFormat, PixelFormat, decode_gray};
@@ -16,22 +16,23 @@ const MAX_CANDIDATES: usize = 96;
 /// Bytes of candidates held at most.
 const MAX_CANDIDATE_BYTES: usize = 64 << 20;
 
-/// Holds the images of candidates.
+/// Holds the images of candidates of all of a map's cameras.
 #[derive(Debug, Default)]
 pub struct CandidateImages {
-    candidates: VecDeque<(u64, SentImage)>,
+    /// By camera and number of the frame.
+    candidates: VecDeque<((CameraId, u64), SentImage)>,
     n_bytes: usize,
 }
 
 impl CandidateImages {
     /// Holds a frame's image if the frame is or may yet become a keyframe; the oldest go when there are too
     /// many.
-    pub fn offer(&mut self, sequence: u64, image: SentImage, state: FrameState, is_keyframe: bool) {
+    pub fn offer(&mut self, frame: (CameraId, u64), image: SentImage, state: FrameState, is_keyframe: bool) {
         if state == FrameState::Tracked && !is_keyframe {
             return;
         }
         self.n_bytes += image.data.len();
-        self.candidates.push_back((sequence, image));
+        self.candidates.push_back((frame, image));
         while self.candidates.len() > MAX_CANDIDATES || self.n_bytes > MAX_CANDIDATE_BYTES {
             let Some((_, oldest)) = self.candidates.pop_front() else { break };
             self.n_bytes -= oldest.data.len();
@@ -41,11 +42,13 @@ impl CandidateImages {
     /// The images of the keyframes that are new in an update.
     pub fn take_for(&mut self, update: &MapUpdate) -> Vec<(KeyframeId, SentImage)> {
         let changed = update.changes.keyframes.iter().filter_map(|id| update.map.keyframe(*id));
-        changed.filter_map(|keyframe| Some((keyframe.id, self.take(keyframe.sequence)?))).collect()
+        changed
+            .filter_map(|keyframe| Some((keyframe.id, self.take((keyframe.camera.id, keyframe.sequence))?)))
+            .collect()
     }
 
-    fn take(&mut self, sequence: u64) -> Option<SentImage> {
-        let position = self.candidates.iter().position(|(candidate, _)| *candidate == sequence)?;
+    fn take(&mut self, frame: (CameraId, u64)) -> Option<SentImage> {
+        let position = self.candidates.iter().position(|(candidate, _)| *candidate == frame)?;
         let (_, image) = self.candidates.remove(position)?;
         self.n_bytes -= image.data.len();
         Some(image)
@@ -164,11 +167,11 @@ mod tests {
         let mut candidates = CandidateImages::default();
         for sequence in 0..10_000 {
             let image = raw(PixelFormat::Gray8, 1, 1, 0, &[0; 1 << 10]);
-            candidates.offer(sequence, image, FrameState::Initialising, false);
+            candidates.offer((CameraId::default(), sequence), image, FrameState::Initialising, false);
         }
         assert_eq!(candidates.candidates.len(), MAX_CANDIDATES);
         assert_eq!(candidates.n_bytes, MAX_CANDIDATES << 10);
-        assert!(candidates.take(9_999).is_some());
-        assert!(candidates.take(0).is_none());
+        assert!(candidates.take((CameraId::default(), 9_999)).is_some());
+        assert!(candidates.take((CameraId::default(), 0)).is_none());
     }
 }

@@ -1,18 +1,20 @@
 //! From a stored session to an engine that goes on with it.
 
 use super::SessionId;
-use super::events::Events;
+use super::host::Watchers;
 use super::writer::Sink;
 use crate::clock::SystemClock;
 use crate::error::ApiError;
-use crate::options::engine_config_of;
+use crate::options::{engine_config_of, engine_config_of_added};
 use crate::soundness::damaged;
 use crate::traces::session_span;
 use geometry::Camera;
-use slam::map::FrameState;
-use slam::{MapUpdate, Pipeline, ResumeState, SceneMask, SlamConfig};
+use slam::map::{CameraId, FrameState, MapCamera};
+use slam::{JoinState, MapUpdate, Pipeline, ResumeState, SceneMask, SharedMap, SlamConfig};
 use std::sync::{Arc, Mutex, PoisonError};
-use store::{KeyframeImage, LoadedSession, SessionStatus, Store, StoredFrame};
+use store::{
+    KeyframeImage, LoadedCamera, LoadedSession, Segments, SessionRecord, SessionStatus, Store, StoredFrame,
+};
 use tracing::Instrument;
 
 /// Which session of which database.
@@ -23,18 +25,13 @@ pub struct LoadContext<'a> {
     pub id: &'a SessionId,
 }
 
-/// What a session is taken up with.
+/// A session with a map of its own, as it is stored.
 pub struct StoredSession {
     id: SessionId,
-    /// Its options ask for repeatable results.
-    pub deterministic: bool,
-    /// How tracking the last stored frame ended.
-    pub last_state: FrameState,
-    /// Metres per map unit; `None` while the scale is free.
-    pub metres_per_unit: Option<f64>,
+    /// The session.
+    pub record: SessionRecord,
     /// By how much the engine's times are ahead of the client's, nanoseconds.
     pub ahead_ns: i64,
-    last_frame: Option<(u64, i64)>,
     /// What its engine runs with.
     pub config: SlamConfig,
     /// Its camera.
@@ -46,20 +43,20 @@ pub struct StoredSession {
 impl StoredSession {
     /// Number and time of the last stored frame.
     pub fn last_frame(&self) -> Option<(u64, i64)> {
-        self.last_frame
+        self.record.last_frame
     }
 }
 
 impl LoadContext<'_> {
-    /// What is stored of the session's earlier frames.
-    pub fn history(&self) -> History {
-        History { store: self.store.clone(), id: self.id.clone() }
+    /// What is stored of the session's earlier frames; `map` is the key of the session whose map it is.
+    pub fn history(&self, map: &str) -> History {
+        History { store: self.store.clone(), id: self.id.clone(), map: map.to_owned() }
     }
 
-    /// Where the session's updates are saved; `events` is told of each.
-    pub fn sink(&self, last_state: FrameState, events: Events) -> impl Sink + use<> {
+    /// Where the updates of the session's map are saved; `watchers` are told of each.
+    pub fn sink(&self, last_state: FrameState, watchers: Watchers) -> impl Sink + use<> {
         let (store, id) = (self.store.clone(), self.id.clone());
-        SessionSink { store, id, last_state: Mutex::new(last_state), events }
+        SessionSink { store, id, last_state: Mutex::new(last_state), watchers }
     }
 }
 
@@ -75,21 +72,13 @@ pub async fn read(context: &LoadContext<'_>) -> Result<StoredSession, ApiError> 
         if error.is_of_damage() { cannot_be_taken_up(context.id, &error) } else { error.into() }
     })?;
     let camera = record.checked_camera()?;
-    let (deterministic, last_state) = (record.options.deterministic == Some(true), record.state);
-    let metres_per_unit = record.metres_per_unit;
-    let (id, last_frame) = (context.id.clone(), record.last_frame);
-    let ahead_ns = segments.ahead_ns(last_frame.map_or(0, |(sequence, _)| sequence.saturating_add(1)));
-    Ok(StoredSession {
-        id,
-        deterministic,
-        last_state,
-        metres_per_unit,
-        ahead_ns,
-        last_frame,
-        config,
-        camera,
-        state,
-    })
+    let ahead_ns = ahead_of_next(&record, &segments);
+    Ok(StoredSession { id: context.id.clone(), record, ahead_ns, config, camera, state })
+}
+
+/// By how much the engine's times are ahead of the client's at the next frame, nanoseconds.
+fn ahead_of_next(record: &SessionRecord, segments: &Segments) -> i64 {
+    segments.ahead_ns(record.last_frame.map_or(0, |(sequence, _)| sequence.saturating_add(1)))
 }
 
 fn cannot_be_taken_up(id: &SessionId, error: &dyn std::error::Error) -> ApiError {
@@ -97,14 +86,50 @@ fn cannot_be_taken_up(id: &SessionId, error: &dyn std::error::Error) -> ApiError
     damaged(&error.to_string())
 }
 
-/// Makes the engine; takes as long as the map is large, so not on a runtime's thread.
+/// Makes the engine of a map; takes as long as the map is large, so not on a runtime's thread.
 ///
 /// # Errors
 /// If the stored map is inconsistent.
-pub fn resume(stored: StoredSession) -> Result<Pipeline, ApiError> {
+pub fn shared_map(stored: StoredSession) -> Result<SharedMap, ApiError> {
     let StoredSession { id, config, camera, state, .. } = stored;
-    Pipeline::resume(config, camera, Arc::new(SystemClock::new()), state)
-        .map_err(|error| cannot_be_taken_up(&id, &error))
+    SharedMap::resume(config, &camera, state.map).map_err(|error| cannot_be_taken_up(&id, &error))
+}
+
+/// What one session's pipeline is taken up with.
+pub struct StoredCamera {
+    /// The session.
+    pub record: SessionRecord,
+    /// By how much the engine's times are ahead of the client's, nanoseconds.
+    pub ahead_ns: i64,
+    config: SlamConfig,
+    camera: Camera,
+    map_camera: MapCamera,
+    join: JoinState,
+}
+
+/// Reads what the pipeline of a session's camera is taken up with; `map` is the session's whose map it is.
+///
+/// # Errors
+/// If there is no such session, or what is stored cannot be used.
+pub async fn read_camera(context: &LoadContext<'_>, map: &SessionRecord) -> Result<StoredCamera, ApiError> {
+    let LoadedCamera { record, join, segments } = context.store.load_camera(context.id.as_str()).await?;
+    let config = match &record.map {
+        None => engine_config_of(&record)?,
+        Some(_) => engine_config_of_added(map, &record)?,
+    };
+    let map_camera = MapCamera { id: record.camera_id, is_refined: record.camera == map.camera };
+    let (camera, ahead_ns) = (record.checked_camera()?, ahead_of_next(&record, &segments));
+    Ok(StoredCamera { record, ahead_ns, config, camera, map_camera, join })
+}
+
+/// Has the camera join its map; takes as long as the map is large, so not on a runtime's thread.
+///
+/// # Errors
+/// If the configuration cannot be used.
+pub fn join(id: &SessionId, stored: StoredCamera, map: &SharedMap) -> Result<Pipeline, ApiError> {
+    let StoredCamera { config, camera, map_camera, join, .. } = stored;
+    Pipeline::join(map, map_camera, (config, camera), Arc::new(SystemClock::new()), join)
+        .map_err(|error| cannot_be_taken_up(id, &error))
 }
 
 /// The stored frames of one session.
@@ -112,6 +137,7 @@ pub fn resume(stored: StoredSession) -> Result<Pipeline, ApiError> {
 pub struct History {
     store: Store,
     id: SessionId,
+    map: String,
 }
 
 impl History {
@@ -124,9 +150,9 @@ impl History {
         Ok(self.store.begin_segment(self.id.as_str(), sequence, ahead_ns).await?)
     }
 
-    /// Whether the session is this server's: what it computes of it may be told.
+    /// Whether the session and its map are this server's: what it computes of them may be told.
     pub fn is_ours(&self) -> bool {
-        self.store.keeps(self.id.as_str())
+        self.store.keeps(self.id.as_str()) && self.store.keeps(&self.map)
     }
 
     /// Saves what of the images is left out.
@@ -148,29 +174,28 @@ impl History {
     }
 }
 
-/// Saves the updates of one session.
+/// Saves the updates of one map.
 struct SessionSink {
     store: Store,
     id: SessionId,
-    /// How tracking the last frame ended, for updates without frames.
+    /// How tracking the last frame of the map's own camera ended, for updates without frames of it.
     last_state: Mutex<FrameState>,
-    events: Events,
+    watchers: Watchers,
 }
 
 impl Sink for SessionSink {
     async fn commit(&self, update: &MapUpdate, images: &[KeyframeImage]) -> Result<(), ApiError> {
         let state = {
             let mut last_state = self.last_state.lock().unwrap_or_else(PoisonError::into_inner);
-            if let Some(last) =
-                update.frames.iter().filter(|frame| !frame.backfilled).max_by_key(|frame| frame.sequence)
-            {
+            let own = update.frames.iter().filter(|frame| frame.camera == CameraId::default());
+            if let Some(last) = own.filter(|frame| !frame.backfilled).max_by_key(|frame| frame.sequence) {
                 *last_state = last.state;
             }
             *last_state
         };
         let saving = self.store.save_update(self.id.as_str(), update, SessionStatus { state }, images);
         saving.instrument(session_span!("commit", self.id.as_str())).await?;
-        self.events.saved(update);
+        self.watchers.saved(update);
         Ok(())
     }
 }

@@ -4,6 +4,7 @@ mod decoder;
 mod events;
 mod frame;
 mod gallery;
+mod host;
 mod id;
 mod images;
 mod journal;

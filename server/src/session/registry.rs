@@ -1,16 +1,17 @@
 //! The sessions that are in memory, and who writes into them.
 
+mod starting;
+
+use super::SessionId;
 use super::events::{Events, SessionEvent};
 use super::gallery::ShownFrame;
+use super::host::{Hosts, MapCounts};
 use super::journal::{Revision, Since};
-use super::leaps::Leaps;
-use super::load::{self, LoadContext, StoredSession};
 use super::occupancy::Occupancy;
 use super::queue::{FrameQueue, Policy};
-use super::slots::{self, Resident, Room, Slots};
+use super::slots::{self, Resident, Slots};
 use super::view::{Live, LoadedView};
-use super::worker::{Ends, Mode, Persistence, Replies, Stream, Worker, WorkerConfig};
-use super::{SessionId, writer};
+use super::worker::{Mode, Replies, Stream};
 use crate::current::Current;
 use crate::error::{ApiError, ErrorCode};
 use slam::Cores;
@@ -18,10 +19,8 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use store::{Store, StoreError};
-use tokio::runtime::Handle;
-use tokio::sync::{broadcast, mpsc, oneshot, watch};
-use tokio::task::JoinHandle;
-use tokio_util::sync::{CancellationToken, DropGuard};
+use tokio::sync::{broadcast, mpsc, watch};
+use tokio_util::sync::CancellationToken;
 
 /// What a client asks of a stream.
 #[derive(Clone, Debug)]
@@ -44,6 +43,8 @@ pub struct Registry {
     store: Store,
     /// What lasts while a session comes and goes is who watches it.
     slots: Slots<SessionId, Loaded, Events>,
+    /// The maps that those in memory extend.
+    hosts: Hosts,
     /// Sessions that an operation works on. Whoever wants one of them is told instead of waiting for long.
     occupied: Occupancy,
     /// What sessions work with.
@@ -61,6 +62,7 @@ type Held = slots::Held<Loaded, Events>;
 struct Loaded {
     streams: mpsc::Sender<Stream>,
     live: watch::Receiver<Live>,
+    counts: watch::Receiver<MapCounts>,
     unload: CancellationToken,
     /// Cancelled when the worker is gone and the writer has saved what it could.
     ended: CancellationToken,
@@ -86,7 +88,7 @@ impl Registry {
         let (leaving, closed) = (CancellationToken::new(), CancellationToken::new());
         let start = Instant::now();
         let cores = Cores::new(config.get().sessions.n_cores(), move || start.elapsed());
-        Self { config, store, slots, occupied, cores, leaving, closed }
+        Self { config, store, slots, hosts: Hosts::default(), occupied, cores, leaving, closed }
     }
 
     /// What sessions, and what adjusts maps, work with.
@@ -150,7 +152,8 @@ impl Registry {
     /// How a session is doing, if it is in memory.
     pub fn view(&self, id: &SessionId) -> Option<LoadedView> {
         let loaded = self.slots.resident(id)?;
-        let view = LoadedView { live: loaded.live.borrow().clone(), has_writer: loaded.is_busy() };
+        let (live, counts) = (loaded.live.borrow().clone(), *loaded.counts.borrow());
+        let view = LoadedView { live, counts, has_writer: loaded.is_busy() };
         Some(view)
     }
 
@@ -204,10 +207,10 @@ impl Registry {
         change: impl Future<Output = Result<T, ApiError>>,
     ) -> Result<T, ApiError> {
         self.occupied.check(id)?;
-        let held = self.slots.hold(id).await;
-        unload(&held, id, "changing its options").await?;
+        let ids = self.all_on_map_of(id).await?;
+        let held = self.unload_all(&ids, "changing its options").await?;
         let changed = change.await?;
-        held.lasting().settings();
+        held.iter().for_each(|held| held.lasting().settings());
         Ok(changed)
     }
 
@@ -223,14 +226,13 @@ impl Registry {
         work: impl FnOnce() -> Working,
     ) -> Result<T, ApiError> {
         self.check_open()?;
-        let _occupied = self.occupied.mark(ids)?;
-        // In the order of the ids, so that two who want the same do not wait for each other.
-        let mut all_held = Vec::with_capacity(ids.len());
+        let mut all = BTreeSet::new();
         for id in ids {
-            let held = self.slots.hold(id).await;
-            unload(&held, id, purpose).await?;
-            all_held.push(held);
+            all.extend(self.all_on_map_of(id).await?);
         }
+        let ids = &all;
+        let _occupied = self.occupied.mark(ids)?;
+        let _held = self.unload_all(ids, purpose).await?;
         let mut taken = Ok(());
         for id in ids {
             taken = self.store.take(id.as_str()).await;
@@ -250,11 +252,15 @@ impl Registry {
 
     /// Ends a session that this server could not keep, by its key: another may have it by now.
     pub fn lose(&self, key: &str) {
-        let Some(loaded) = self.slots.resident(&SessionId::stored(None, key.to_owned())) else { return };
+        let id = SessionId::stored(None, key.to_owned());
+        let error = ApiError::from(StoreError::LeaseLost { id: key.to_owned() });
+        // Whoever extends its map must not go on either.
+        self.hosts.give_up(&id, &error);
+        let Some(loaded) = self.slots.resident(&id) else { return };
         if !loaded.unload.is_cancelled() {
             tracing::error!(session.id = key, "session {key} is given up: its lease could not be renewed");
         }
-        loaded.lose(StoreError::LeaseLost { id: key.to_owned() }.into());
+        loaded.lose(error);
     }
 
     /// Where a session's events go.
@@ -285,6 +291,13 @@ impl Registry {
             loaded.scale.send_replace(metres_per_unit);
         }
         held.lasting().settings();
+        for other in self.store.cameras_of(id.as_str()).await? {
+            let other = id.beside(&other);
+            if let Some(loaded) = self.slots.resident(&other) {
+                loaded.scale.send_replace(metres_per_unit);
+            }
+            self.slots.known(&other).iter().for_each(Events::settings);
+        }
         Ok(stored)
     }
 
@@ -364,113 +377,24 @@ impl Registry {
         Ok(loaded)
     }
 
-    async fn start(&self, id: &SessionId, events: Events, room: Room) -> Result<Loaded, ApiError> {
-        self.store.take(id.as_str()).await?;
-        let started = self.start_taken(id, events, room).await;
-        if started.is_err() {
-            self.store.give_back(id.as_str()).await;
-        }
-        started
+    /// The sessions whose cameras extend a session's map, and that one: all of them where it has a map of its
+    /// own, it alone where it extends another's.
+    async fn all_on_map_of(&self, id: &SessionId) -> Result<BTreeSet<SessionId>, ApiError> {
+        let others = self.store.cameras_of(id.as_str()).await?;
+        Ok(others.iter().map(|other| id.beside(other)).chain([id.clone()]).collect())
     }
 
-    /// As [`Self::start`], of a session that no other server works with.
-    async fn start_taken(&self, id: &SessionId, events: Events, room: Room) -> Result<Loaded, ApiError> {
-        let context = LoadContext { store: &self.store, id };
-        let stored = load::read(&context).await?;
-        let last_frame = stored.last_frame();
-        let (outbox, saving) = writer::start(
-            context.sink(stored.last_state, events.clone()),
-            last_frame.map(|(sequence, _)| sequence),
-            writer::Pace::of(&self.config.get().sessions, stored.deterministic),
-        );
-        let (history, ahead_ns) = (context.history(), stored.ahead_ns);
-        let persistence = Persistence { outbox, history, last_frame, ahead_ns };
-        let leaps = Leaps::of(&self.config.get().sessions);
-        let config = WorkerConfig {
-            leaps,
-            decode_limits: self.config.get().decode_limits(),
-            realtime_max_wait: Duration::from_secs_f64(self.config.get().sessions.realtime_max_wait_s),
-            keep_images: self.config.get().sessions.keep_keyframe_images,
-            idle_unload: self.config.get().sessions.idle_unload(),
-        };
-        let (loaded, ends) =
-            channels(stored.metres_per_unit, events, self.config.get().sessions.idle_stream());
-        let stay = Stay { _room: room, _ended: loaded.ended.clone().drop_guard() };
-        let (cores, store) = (self.cores.clone(), self.store.clone());
-        spawn(Beginning { id: id.clone(), config, stored, persistence, saving, ends, stay, cores, store })
-            .await?;
-        Ok(loaded)
-    }
-}
-
-/// The ends of what ties the registry to a worker, and the worker's.
-fn channels(metres_per_unit: Option<f64>, events: Events, idle_stream: Duration) -> (Loaded, Ends) {
-    // One stream may wait for the one before it to end; whoever brings another waits for the room.
-    let (streams, streams_receiver) = mpsc::channel(1);
-    let (live_sender, live) = watch::channel(Live::default());
-    let (scale, scale_receiver) = watch::channel(metres_per_unit);
-    let (unload, ended) = (CancellationToken::new(), CancellationToken::new());
-    let ends = Ends {
-        streams: streams_receiver,
-        unload: unload.clone(),
-        live: live_sender,
-        scale: scale_receiver,
-        events,
-    };
-    (Loaded { streams, live, unload, ended, writer: Mutex::default(), scale, idle_stream }, ends)
-}
-
-/// What a session's thread begins with.
-struct Beginning {
-    id: SessionId,
-    config: WorkerConfig,
-    stored: StoredSession,
-    persistence: Persistence,
-    /// Ends when everything is saved.
-    saving: JoinHandle<()>,
-    ends: Ends,
-    /// Dropped when the thread ends, however that comes.
-    stay: Stay,
-    cores: Cores,
-    store: Store,
-}
-
-/// A session's stay in memory: its room is free before anybody learns that it has ended.
-struct Stay {
-    _room: Room,
-    _ended: DropGuard,
-}
-
-/// Starts a session's thread; returns once its engine is there.
-async fn spawn(beginning: Beginning) -> Result<(), ApiError> {
-    let (ready_sender, ready) = oneshot::channel();
-    let runtime = Handle::current();
-    let thread = std::thread::Builder::new().name(format!("session-{}", beginning.id));
-    let run = move || {
-        let Beginning { id, config, stored, persistence, saving, ends, stay: _stay, cores, store } =
-            beginning;
-        let _joined = cores.join();
-        let pipeline = match load::resume(stored) {
-            Ok(pipeline) => pipeline,
-            Err(error) => {
-                persistence.outbox.close();
-                let _ = ready_sender.send(Err(error));
-                return;
-            }
-        };
-        let _ = ready_sender.send(Ok(()));
-        tracing::info!(session.id = id.as_str(), "session {id} is in memory");
-        let (events, key) = (ends.events.clone(), id.as_str().to_owned());
-        Worker::new(id, config, pipeline, persistence, ends, runtime.clone()).run();
-        if let Err(error) = runtime.block_on(saving) {
-            tracing::error!(error = %error, "a session's writer failed: {error}");
+    /// Takes sessions out of memory in the order of their ids, so that two who want the same do not wait for
+    /// each other, and holds their places.
+    async fn unload_all(&self, ids: &BTreeSet<SessionId>, purpose: &str) -> Result<Vec<Held>, ApiError> {
+        let mut all_held = Vec::with_capacity(ids.len());
+        for id in ids {
+            let held = self.slots.hold(id).await;
+            unload(&held, id, purpose).await?;
+            all_held.push(held);
         }
-        runtime.block_on(store.give_back(&key));
-        crate::memory::give_back();
-        events.unloaded();
-    };
-    thread.spawn(run).map_err(ApiError::internal)?;
-    ready.await.map_err(ApiError::internal)?
+        Ok(all_held)
+    }
 }
 
 /// Waits until the session is out of memory; `purpose` says what for.

@@ -1,5 +1,6 @@
 //! A session as callers see it: its row, under what is known of it while it is in memory.
 
+use super::host::MapCounts;
 use crate::options::{SessionOptions, camera_warnings};
 use geometry::CameraParameters;
 use slam::map::{FrameState, Readout};
@@ -14,14 +15,6 @@ pub struct Live {
     pub last_frame: Option<(u64, i64)>,
     /// Frames tracked since the session was loaded.
     pub n_frames: u64,
-    /// Keyframes in the map.
-    pub n_keyframes: usize,
-    /// Points in the map.
-    pub n_points: usize,
-    /// Lines in the map.
-    pub n_lines: usize,
-    /// Global primitives in the map.
-    pub n_primitives: usize,
     /// What of the images is left out.
     pub mask: Option<MaskShare>,
 }
@@ -31,6 +24,8 @@ pub struct Live {
 pub struct LoadedView {
     /// As of its last frame.
     pub live: Live,
+    /// How much there is in its map, which others may extend too.
+    pub counts: MapCounts,
     /// Whether a writer is connected.
     pub has_writer: bool,
 }
@@ -124,7 +119,7 @@ impl SessionView {
             metres_per_unit,
             last_frame,
             counts,
-            map,
+            map: _,
             camera_id: _,
             last_camera: _,
         } = record;
@@ -151,14 +146,14 @@ impl SessionView {
             last_timestamp_ns: last_frame.map(|(_, timestamp_ns)| timestamp_ns),
             loaded: false,
             has_writer: false,
-            map,
+            map: None,
             damage: None,
         }
     }
 
     /// A session in memory is ahead of its row.
     fn update(&mut self, loaded: LoadedView) {
-        let LoadedView { live, has_writer } = loaded;
+        let LoadedView { live, counts, has_writer } = loaded;
         self.loaded = true;
         self.has_writer = has_writer;
         self.state = live.state.or(self.state);
@@ -171,10 +166,10 @@ impl SessionView {
             }
         }
         if live.state.is_some() {
-            self.n_keyframes = live.n_keyframes as u64;
-            self.n_points = live.n_points as u64;
-            self.n_lines = live.n_lines as u64;
-            self.n_primitives = live.n_primitives as u64;
+            self.n_keyframes = counts.n_keyframes as u64;
+            self.n_points = counts.n_points as u64;
+            self.n_lines = counts.n_lines as u64;
+            self.n_primitives = counts.n_primitives as u64;
             self.mask = live.mask;
         }
     }

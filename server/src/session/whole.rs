@@ -79,7 +79,7 @@ pub async fn adjust(
     (work, cores): (Arc<Work>, &Cores),
 ) -> Result<Option<Adjusted>, ApiError> {
     let stored = load::read(context).await?;
-    let status = SessionStatus { state: stored.last_state };
+    let status = SessionStatus { state: stored.record.state };
     let watched = work.clone();
     let (config, map) = (stored.config, stored.state.map);
     let optimized = on_a_thread(cores, move || slam::optimize(&config, map, &watched)).await?;
@@ -113,7 +113,7 @@ pub async fn join(
     let (stored, other) = (load::read(into).await?, load::read(from).await?);
     check_cameras(&stored, &other)?;
     check_clocks(&stored, &other)?;
-    let status = SessionStatus { state: stored.last_state };
+    let status = SessionStatus { state: stored.record.state };
     let frames: Vec<FrameEntry> = from.store.frames(from.id.as_str()).await?.try_collect().await?;
     let last_frame = stored.last_frame();
     let watched = work.clone();

@@ -1,4 +1,4 @@
-//! The thread that owns a session. Nothing else touches its pipeline.
+//! The thread that owns a session. Nothing else touches its pipeline; the map it extends is its host's.
 //!
 //! It serves one stream at a time: a decoding thread beside it takes frames from the stream's queue, this
 //! thread tracks them, answers go back through a bounded channel, and map updates go to the session's writer.
@@ -12,17 +12,16 @@ use super::decoder::{self, Decoded};
 use super::events::Events;
 use super::frame::{Answer, Before, FrameOutcome, Rejection, Reply, SentImage};
 use super::gallery::ShownFrame;
-use super::images::CandidateImages;
+use super::host::MapHost;
 use super::leaps::{EngineTimes, Leaps};
 use super::load::History;
 use super::mask_keeper::MaskKeeper;
 use super::queue::{Ending, FrameQueue, Policy};
 use super::recent::RecentAnswers;
 use super::view::Live;
-use super::writer::Outbox;
 use crate::error::{ApiError, ErrorCode};
 use crate::traces;
-use slam::map::FrameState;
+use slam::map::{CameraId, FrameState};
 use slam::{FrameReport, Pipeline, TrackingOutcome};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -88,8 +87,10 @@ pub struct Ends {
 
 /// What ties a worker to the database.
 pub struct Persistence {
-    /// Where updates go.
-    pub outbox: Outbox,
+    /// The map, and where its updates go.
+    pub host: Arc<MapHost>,
+    /// Which of the map's cameras the session's is.
+    pub camera: CameraId,
     /// What is stored of earlier frames.
     pub history: History,
     /// Number and time of the last stored frame.
@@ -118,14 +119,16 @@ pub struct Worker {
     id: SessionId,
     config: WorkerConfig,
     pipeline: Pipeline,
-    outbox: Outbox,
+    host: Arc<MapHost>,
+    camera: CameraId,
     history: History,
     ends: Ends,
     /// Number and time of the last frame, stored or not.
     last_frame: Option<(u64, i64)>,
+    /// Every frame up to this one was saved when the session was loaded.
+    durable_sequence: Option<u64>,
     times: EngineTimes,
     recent: RecentAnswers,
-    images: CandidateImages,
     /// What is known of samples of 16 bits.
     depth: SampleDepth,
     /// Frames tracked since the session was loaded.
@@ -147,8 +150,9 @@ impl Worker {
         ends: Ends,
         runtime: Handle,
     ) -> Self {
-        let Persistence { outbox, history, last_frame, ahead_ns } = persistence;
-        let (recent, images) = (RecentAnswers::default(), CandidateImages::default());
+        let Persistence { host, camera, history, last_frame, ahead_ns } = persistence;
+        let recent = RecentAnswers::default();
+        let durable_sequence = last_frame.map(|(sequence, _)| sequence);
         let (depth, n_frames) = (SampleDepth::default(), 0);
         let times = EngineTimes::new(config.leaps, ahead_ns);
         let mask_keeper = MaskKeeper::new(history.clone(), runtime.clone(), pipeline.mask().cloned());
@@ -156,13 +160,14 @@ impl Worker {
             id,
             config,
             pipeline,
-            outbox,
+            host,
+            camera,
             history,
             ends,
             last_frame,
+            durable_sequence,
             times,
             recent,
-            images,
             depth,
             n_frames,
             mask_keeper,
@@ -177,7 +182,9 @@ impl Worker {
         while let Some(stream) = self.next_stream() {
             let (served, replies, queue) =
                 (stream.served.clone(), stream.replies.clone(), stream.queue.clone());
+            self.host.stream_through(self.camera, Some(queue.clone()));
             let outcome = catch_unwind(AssertUnwindSafe(|| self.serve(stream)));
+            self.host.stream_through(self.camera, None);
             served.cancel();
             if let Err(panic) = outcome {
                 self.fail(panic_message(&*panic), &queue, &replies);
@@ -188,7 +195,6 @@ impl Worker {
         if !matches!(outcome, Ok(Ok(()))) {
             tracing::error!(session.id = id.as_str(), "session {id} ends without its last frames saved");
         }
-        self.outbox.close();
         tracing::info!(session.id = id.as_str(), "session {id} left memory");
     }
 
@@ -207,8 +213,8 @@ impl Worker {
             let _ = next.replies.try_send(Err(error.clone()));
             next.queue.abort(Err(error.clone()));
         }
-        // What the engine holds cannot be trusted any more, and is not saved.
-        self.outbox.close();
+        // What the engine holds cannot be trusted any more, and is not saved: nor is it for other cameras.
+        self.host.give_up(&error);
     }
 
     /// Waits for a stream. `None` once the session is to end: then the channel is closed, and what came just
@@ -222,9 +228,9 @@ impl Worker {
                     stream = streams.recv() => return stream,
                     () = unload.cancelled() => break,
                     // Nothing can be saved any more: whoever comes next begins with the last commit.
-                    () = self.outbox.ended() => break,
+                    () = self.host.outbox().ended() => break,
                     // A session that cannot be saved stays: its frames are in no other place.
-                    () = tokio::time::sleep(self.config.idle_unload) => if self.outbox.is_idle() { break },
+                    () = tokio::time::sleep(self.config.idle_unload) => if self.host.outbox().is_idle() { break },
                 }
             }
             streams.close();
@@ -267,7 +273,7 @@ impl Worker {
                 return;
             }
             for item in decoded {
-                if let Some(failure) = self.outbox.failure() {
+                if let Some(failure) = self.host.outbox().failure() {
                     stream.queue.abort(Err(failure));
                     break;
                 }
@@ -323,9 +329,9 @@ impl Worker {
         self.n_frames += 1;
         let state = report.outcome.state();
         if self.config.keep_images {
-            self.images.offer(sequence, sent.clone(), state, report.is_keyframe);
+            self.host.offer_image((self.camera, sequence), sent.clone(), state, report.is_keyframe);
         }
-        self.hand_over_updates(Pipeline::take_updates);
+        self.hand_over_updates();
         self.mask_keeper.offer(self.pipeline.mask());
         self.publish(Some(state));
         let metres_per_unit = *self.ends.scale.borrow();
@@ -338,7 +344,7 @@ impl Worker {
         self.ends.events.frame(&report, metres_per_unit, shown);
         record_frame(&report, queued_ns, &span);
         self.recent.remember(report.clone());
-        let durable_sequence = self.outbox.durable_sequence();
+        let durable_sequence = self.durable_sequence();
         Reply::Answered(Box::new(Answer { report, durable_sequence, queued_ns, metres_per_unit }))
     }
 
@@ -358,25 +364,27 @@ impl Worker {
             Some(report) => Some(Before::Recent(Box::new(report.clone()))),
             None => self.runtime.block_on(self.history.frame(sequence)).map(Before::Stored),
         };
-        let (durable_sequence, metres_per_unit) = (self.outbox.durable_sequence(), *self.ends.scale.borrow());
+        let (durable_sequence, metres_per_unit) = (self.durable_sequence(), *self.ends.scale.borrow());
         Reply::Repeated { sequence, timestamp_ns, before, durable_sequence, metres_per_unit }
     }
 
     /// Finishes what mapping has begun and waits until everything is saved.
     fn flush(&mut self) -> Result<(), ApiError> {
-        self.hand_over_updates(Pipeline::finish);
+        self.pipeline.settle();
+        self.hand_over_updates();
         self.mask_keeper.finish(self.pipeline.mask());
         let state = self.ends.live.borrow().state;
         self.publish(state);
-        self.runtime.block_on(self.outbox.flush())
+        self.runtime.block_on(self.host.outbox().flush())
     }
 
-    fn hand_over_updates(&mut self, take: impl FnOnce(&mut Pipeline) -> Vec<slam::MapUpdate>) {
-        for update in take(&mut self.pipeline) {
-            self.ends.events.map(&update);
-            let images = self.images.take_for(&update);
-            self.outbox.push(update, images);
-        }
+    /// Every frame up to this one is saved.
+    fn durable_sequence(&self) -> Option<u64> {
+        self.host.outbox().durable_sequence(self.camera).max(self.durable_sequence)
+    }
+
+    fn hand_over_updates(&mut self) {
+        self.host.hand_over(|| self.pipeline.take_updates());
         for judgement in self.pipeline.take_line_judgements() {
             let verdict = judgement.verdict.name();
             metrics::counter!("monoslam_line_candidates_total", "verdict" => verdict).increment(1);
@@ -384,15 +392,11 @@ impl Worker {
     }
 
     fn publish(&self, state: Option<FrameState>) {
-        let map = self.pipeline.map();
+        self.host.publish();
         let live = Live {
             state,
             last_frame: self.last_frame,
             n_frames: self.n_frames,
-            n_keyframes: map.n_keyframes(),
-            n_points: map.n_points(),
-            n_lines: map.n_lines(),
-            n_primitives: map.n_primitives(),
             mask: self.pipeline.mask().map(|known| known.into()),
         };
         self.ends.live.send_replace(live);

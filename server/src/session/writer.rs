@@ -1,4 +1,4 @@
-//! Saves a session's map updates, one transaction each, beside tracking.
+//! Saves a map's updates, one transaction each, beside tracking.
 //!
 //! Tracking hands an update over under a short lock and goes on. Updates that follow within half a second, or
 //! while a transaction runs, are merged into one: most landmarks of a keyframe move again with the next, and
@@ -12,7 +12,8 @@ use super::updates::{Bounds, Update, Updates};
 use crate::config::SessionConfig;
 use crate::error::ApiError;
 use slam::MapUpdate;
-use slam::map::KeyframeId;
+use slam::map::{CameraId, KeyframeId};
+use std::collections::BTreeMap;
 use std::future::Future;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -38,8 +39,8 @@ pub trait Sink: Send + Sync + 'static {
 /// What is saved so far.
 #[derive(Clone, Debug, Default)]
 pub struct Saved {
-    /// Every frame up to this one is saved.
-    pub durable_sequence: Option<u64>,
+    /// Of each camera with frames among them, every frame up to this one is saved.
+    pub durable_sequences: BTreeMap<CameraId, u64>,
     /// Updates saved since the writer started.
     pub n_updates: u64,
     /// Attempts to save since the writer started.
@@ -48,7 +49,7 @@ pub struct Saved {
     pub failure: Option<ApiError>,
 }
 
-/// The tracking thread's end of the writer. When it is dropped, the writer ends as if it was closed.
+/// The tracking threads' end of the writer. When it is dropped, the writer ends as if it was closed.
 #[derive(Debug)]
 pub struct Outbox {
     updates: Arc<Updates<Batch>>,
@@ -101,18 +102,14 @@ impl Pace {
 
 /// Starts the task that saves. It ends when the [`Outbox`] was closed and everything is saved or was tried
 /// once more.
-pub fn start(
-    sink: impl Sink,
-    durable_sequence: Option<u64>,
-    pace: Pace,
-) -> (Outbox, tokio::task::JoinHandle<()>) {
+pub fn start(sink: impl Sink, pace: Pace) -> (Outbox, tokio::task::JoinHandle<()>) {
     let bounds = Bounds {
         one_by_one: pace.one_by_one,
         max_ahead: MAX_UPDATES_AHEAD,
         max_ballast_bytes: MAX_WAITING_IMAGE_BYTES,
     };
     let updates = Arc::new(Updates::new(bounds));
-    let (saved, saved_receiver) = watch::channel(Saved { durable_sequence, ..Saved::default() });
+    let (saved, saved_receiver) = watch::channel(Saved::default());
     let task = tokio::spawn(save_all(EndOnDrop(updates.clone()), sink, saved, pace));
     (Outbox { updates, saved: saved_receiver }, task)
 }
@@ -127,9 +124,9 @@ impl Outbox {
         }
     }
 
-    /// Every frame up to this one is saved.
-    pub fn durable_sequence(&self) -> Option<u64> {
-        self.saved.borrow().durable_sequence
+    /// Every frame of a camera up to this one is saved; `None` if none was since the writer started.
+    pub fn durable_sequence(&self, camera: CameraId) -> Option<u64> {
+        self.saved.borrow().durable_sequences.get(&camera).copied()
     }
 
     /// Why saving fails at present, if it does.
@@ -202,9 +199,11 @@ async fn save_all(updates: EndOnDrop, sink: impl Sink, saved: watch::Sender<Save
         match save(&sink, &batch.update).await {
             Ok(()) => {
                 updates.saved();
-                let last_frame = batch.update.update.frames.iter().map(|frame| frame.sequence).max();
                 saved.send_modify(|saved| {
-                    saved.durable_sequence = saved.durable_sequence.max(last_frame);
+                    for frame in &batch.update.update.frames {
+                        let last = saved.durable_sequences.entry(frame.camera).or_default();
+                        *last = (*last).max(frame.sequence);
+                    }
                     saved.n_updates = batch.last_number;
                     saved.n_attempts += 1;
                     saved.failure = None;
@@ -249,7 +248,7 @@ mod tests {
     use super::*;
     use crate::error::ErrorCode;
     use slam::Map;
-    use slam::map::{CameraId, FrameRecord, FrameState, MapChanges};
+    use slam::map::{FrameRecord, FrameState, MapChanges};
     use std::sync::Mutex;
     use std::sync::atomic::{AtomicBool, Ordering};
     use tokio::sync::Notify;
@@ -305,7 +304,7 @@ mod tests {
     async fn updates_that_come_during_a_transaction_become_one() {
         let sink = FakeSink::default();
         sink.0.slow.store(true, Ordering::SeqCst);
-        let (outbox, _task) = start(sink.clone(), None, JOINED);
+        let (outbox, _task) = start(sink.clone(), JOINED);
         outbox.push(update(0), Vec::new());
         tokio::time::sleep(Duration::from_millis(20)).await;
         (1..5).for_each(|sequence| outbox.push(update(sequence), Vec::new()));
@@ -313,16 +312,16 @@ mod tests {
         sink.0.go.notify_one();
         outbox.flush().await.unwrap();
         assert_eq!(*sink.0.transactions.lock().unwrap(), [vec![0], vec![1, 2, 3, 4]]);
-        assert_eq!(outbox.durable_sequence(), Some(4));
+        assert_eq!(outbox.durable_sequence(CameraId::default()), Some(4));
     }
 
     #[tokio::test]
     async fn updates_that_follow_within_the_interval_become_one() {
         let sink = FakeSink::default();
         let pace = Pace { interval: Duration::from_millis(300), ..JOINED };
-        let (outbox, _task) = start(sink.clone(), None, pace);
+        let (outbox, _task) = start(sink.clone(), pace);
         let begun = Instant::now();
-        while outbox.durable_sequence().is_none_or(|sequence| sequence < 20) {
+        while outbox.durable_sequence(CameraId::default()).is_none_or(|sequence| sequence < 20) {
             let sequence = begun.elapsed().as_millis() as u64 / 20;
             outbox.push(update(sequence), Vec::new());
             tokio::time::sleep(Duration::from_millis(20)).await;
@@ -336,7 +335,7 @@ mod tests {
     #[tokio::test]
     async fn a_deterministic_session_is_saved_update_by_update() {
         let sink = FakeSink::default();
-        let (outbox, _task) = start(sink.clone(), None, ONE_BY_ONE);
+        let (outbox, _task) = start(sink.clone(), ONE_BY_ONE);
         (0..5).for_each(|sequence| outbox.push(update(sequence), Vec::new()));
         outbox.flush().await.unwrap();
         assert_eq!(*sink.0.transactions.lock().unwrap(), [[0], [1], [2], [3], [4]]);
@@ -346,11 +345,11 @@ mod tests {
     async fn nothing_is_lost_while_the_disk_is_full() {
         let sink = FakeSink::default();
         sink.0.full.store(true, Ordering::SeqCst);
-        let (outbox, task) = start(sink.clone(), Some(6), JOINED);
+        let (outbox, task) = start(sink.clone(), JOINED);
         outbox.push(update(7), Vec::new());
         let error = outbox.flush().await.unwrap_err();
         assert_eq!(error.code, ErrorCode::StorageFull);
-        assert_eq!(outbox.durable_sequence(), Some(6));
+        assert_eq!(outbox.durable_sequence(CameraId::default()), None);
         outbox.push(update(8), Vec::new());
         sink.0.full.store(false, Ordering::SeqCst);
         outbox.flush().await.unwrap();
@@ -371,7 +370,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_deterministic_session_does_not_wait_for_a_writer_that_is_dead() {
-        let (outbox, task) = start(Broken, None, ONE_BY_ONE);
+        let (outbox, task) = start(Broken, ONE_BY_ONE);
         let push_all = move || {
             (0..2 * MAX_UPDATES_AHEAD as u64).for_each(|sequence| outbox.push(update(sequence), Vec::new()));
             outbox
@@ -387,7 +386,7 @@ mod tests {
     #[tokio::test]
     async fn a_writer_ends_when_its_outbox_is_dropped() {
         let sink = FakeSink::default();
-        let (outbox, task) = start(sink.clone(), None, JOINED);
+        let (outbox, task) = start(sink.clone(), JOINED);
         outbox.push(update(0), Vec::new());
         drop(outbox);
         tokio::time::timeout(Duration::from_secs(5), task).await.expect("it goes on").unwrap();

@@ -38,6 +38,11 @@ impl Api {
     pub async fn with(world: MapParts, images: &[KeyframeImage]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         store_map(folder.path(), &world, images).await;
+        Self::over(folder, world).await
+    }
+
+    /// The interface over the database in a folder, which has this map.
+    pub async fn over(folder: TempDir, world: MapParts) -> Self {
         let config = Config::local(folder.path());
         let store = open_store(&config).await.unwrap();
         let service = Arc::new(Service::new(Arc::new(config), store).await.unwrap());

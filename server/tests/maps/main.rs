@@ -1,6 +1,7 @@
 //! Questions about maps made by hand, asked of both interfaces.
 
 mod api;
+mod cameras;
 mod graphs;
 mod grpc;
 mod rest;

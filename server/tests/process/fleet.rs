@@ -133,6 +133,45 @@ mod postgres {
 
     #[tokio::test(flavor = "multi_thread")]
     #[ignore = "needs PostgreSQL"]
+    async fn cameras_of_one_map_are_one_servers() {
+        let (url, folders) = (shared_database(), [(); 2].map(|()| tempfile::tempdir().unwrap()));
+        let [one, other] = [0, 1].map(|idx| server_of_fleet(&url, folders[idx].path()));
+        let (mut client, mut client_of_other) = (one.client().await, other.client().await);
+        let world = SmallWorld::new(1);
+        create_session(&mut client, "room", world.camera()).await.unwrap();
+        let mut frames = FrameStream::open(&mut client, open_message("room")).await.unwrap();
+        stream(&mut frames, &world, 0, 40).await;
+        // Made at any server, served by the map's.
+        let added = v1::CreateSessionRequest {
+            session_id: "second".into(),
+            map: "room".into(),
+            ..v1::CreateSessionRequest::default()
+        };
+        client_of_other.create_session(added).await.unwrap();
+        let status = FrameStream::open(&mut client_of_other, open_message("second")).await.err().unwrap();
+        let place = format!("http://{}", one.grpc_addr);
+        assert_eq!(reason(&status), ("OWNED_ELSEWHERE".to_owned(), Some(place)));
+        let mut second = FrameStream::open(&mut client, open_message("second")).await.unwrap();
+        stream(&mut second, &world, 0, 30).await;
+
+        // When it is gone, another has the map and whoever extends it.
+        one.kill();
+        let (mut second, _, _) = open_in_time(&mut client_of_other, "second").await;
+        let next = second.opened.next_sequence as usize;
+        assert!(next > 0, "what it was told is stored");
+        let answers = stream(&mut second, &world, next, 40 - next).await;
+        assert!(answers.iter().any(|answer| answer.state() == v1::TrackingState::Tracked));
+        let (frames, _, _) = open_in_time(&mut client_of_other, "room").await;
+        frames.finish().await.unwrap();
+        second.finish().await.unwrap();
+        for id in ["room", "second"] {
+            digest(&url, id).await;
+        }
+        assert!(other.terminate());
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    #[ignore = "needs PostgreSQL"]
     async fn a_killed_servers_session_goes_on_elsewhere() {
         let mut pair = Pair::start().await;
         let (_, answers) = pair.stream(40).await;

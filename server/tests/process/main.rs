@@ -1,6 +1,7 @@
 //! The server as a program of its own: killed, copied beside its streams, and put back.
 
 mod backup;
+mod cameras;
 mod crash;
 mod database;
 mod faults;

@@ -8,8 +8,8 @@ use vision::vanishing::{SegmentPlane, fit_direction};
 
 impl Map {
     /// Takes over how the map's own camera differs from its calibration. The rays of all keyframes of that
-    /// calibration change, and with them the directions of their vanishing points. Poses and landmarks are left as they are. A correction
-    /// that leaves no camera is refused.
+    /// calibration change, and with them the directions of their vanishing points. Poses and landmarks are
+    /// left as they are. A correction that leaves no camera is refused.
     pub(crate) fn set_correction(&mut self, correction: CameraCorrection) {
         if !correction.leaves_a_camera() {
             return;

@@ -11,8 +11,8 @@ use std::sync::Arc;
 pub struct MapCamera {
     /// Which of the map's cameras.
     pub id: CameraId,
-    /// Whether it has the calibration of the map's own camera, so that what the map finds out about that holds
-    /// for it too. Another calibration is used as it was given.
+    /// Whether it has the calibration of the map's own camera, so that what the map finds out about that
+    /// holds for it too. Another calibration is used as it was given.
     pub is_refined: bool,
 }
 

@@ -86,8 +86,8 @@ impl IntrinsicsMonitor {
     }
 
     /// The submap by which the camera is to be looked at now, if it is; `share` of the planned keyframes
-    /// will do. Only while the map is in one piece: another piece would not be adjusted with it. And only while
-    /// all its cameras have the map's calibration: what another sees says nothing of this one.
+    /// will do. Only while the map is in one piece: another piece would not be adjusted with it. And only
+    /// while all its cameras have the map's calibration: what another sees says nothing of this one.
     pub fn is_due(&mut self, map: &Map, share: f64, config: &CalibrationConfig) -> Option<SubmapId> {
         let n_keyframes = map.n_keyframes();
         let n_required = (self.next_keyframes as f64 * share).max(config.first_look() as f64);

@@ -42,7 +42,7 @@ pub(crate) struct MappingCore {
 }
 
 enum Runner {
-    Inline(Mutex<Mapper>),
+    Inline(Mutex<Box<Mapper>>),
     Background(Background),
 }
 
@@ -81,7 +81,7 @@ enum Request {
 impl MappingCore {
     pub fn inline(mapper: Mapper) -> Self {
         let shared = Shared::new(mapper.map());
-        Self { runner: Arc::new(Runner::Inline(Mutex::new(mapper))), shared }
+        Self { runner: Arc::new(Runner::Inline(Mutex::new(Box::new(mapper)))), shared }
     }
 
     pub fn background(mapper: Mapper) -> std::io::Result<Self> {

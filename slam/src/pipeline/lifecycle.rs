@@ -141,7 +141,7 @@ impl Pipeline {
         config.validate()?;
         let mapper = Mapper::new(config.clone(), &config.working_camera(&self.camera), Map::default())?;
         let state = JoinState { last_frame: self.last_frame, mask: self.mask().cloned() };
-        let map = SharedMap { core: self.mapping.core().clone() };
+        let map = SharedMap { core: self.mapping.core().clone(), share: None };
         let camera = (config, self.camera.clone());
         let anew = Self::join(&map, self.map_camera, camera, self.clock.clone(), state)?;
         Ok(self.mapping.replace(mapper).then_some(anew))
@@ -163,6 +163,12 @@ impl Pipeline {
     /// Lets mapping finish what it has begun and hands out every frame not yet in an update. While other
     /// cameras of the map go on, what a recording's end brings about waits for the end of theirs.
     pub fn finish(&mut self) -> Vec<MapUpdate> {
+        self.settle();
+        self.take_updates()
+    }
+
+    /// As [`Self::finish`]; what there is to store is to be [taken](Self::take_updates) yet.
+    pub fn settle(&mut self) {
         self.mapping.settle();
         self.sync_map();
         while !self.backfill.is_done(&self.map) {
@@ -172,7 +178,6 @@ impl Pipeline {
         self.flush_records();
         self.mapping.wait();
         self.sync_map();
-        self.take_updates()
     }
 
     /// Whether frames may change the map (the default) or only be located in it.
@@ -259,8 +264,8 @@ fn readout_ns(config: &SlamConfig, map: &Map, camera: MapCamera) -> i64 {
     config.rolling_shutter.readout_ns.unwrap_or(found)
 }
 
-/// Where a camera's tracks of lines begin. Numbers of tracks begin anew with each run and must not meet those of
-/// stored keyframes; those of different cameras are ranges of their own.
+/// Where a camera's tracks of lines begin. Numbers of tracks begin anew with each run and must not meet those
+/// of stored keyframes; those of different cameras are ranges of their own.
 fn first_track(map: &Map, camera: CameraId) -> u64 {
     let own = map.keyframes().filter(|keyframe| keyframe.camera.id == camera);
     let tracks = own.flat_map(|keyframe| &keyframe.features.lines).map(|segment| segment.track + 1);

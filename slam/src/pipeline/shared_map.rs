@@ -1,12 +1,13 @@
-//! A map that several cameras extend at the same time, each with a [`Pipeline`](super::Pipeline) on a thread of
-//! its own.
+//! A map that several cameras extend at the same time, each with a [`Pipeline`](super::Pipeline) on a thread
+//! of its own.
 //!
-//! What belongs to a camera is in its pipeline: front end, tracking, what is known of a lost camera, trajectory.
-//! What belongs to the map is here: the map itself, which mapping owns as it always does, and the numbers of
-//! keyframes and submaps. Pipelines read snapshots and send requests; they never wait for each other but where
-//! mapping has one keyframe to take in before the next.
+//! What belongs to a camera is in its pipeline: front end, tracking, what is known of a lost camera,
+//! trajectory. What belongs to the map is here: the map itself, which mapping owns as it always does, and the
+//! numbers of keyframes and submaps. Pipelines read snapshots and send requests; they never wait for each
+//! other but where mapping has one keyframe to take in before the next.
 
 use crate::config::{ConfigError, SlamConfig, Threading};
+use crate::cores::{Joined, Share};
 use crate::input::{ResumeError, SceneMask};
 use crate::map::{Map, MapParts};
 use crate::mapping::Mapper;
@@ -18,6 +19,8 @@ use std::sync::Arc;
 #[derive(Clone)]
 pub struct SharedMap {
     pub(super) core: MappingCore,
+    /// That of the thread that took it up.
+    pub(super) share: Option<Share>,
 }
 
 /// What one camera of a map is taken up with.
@@ -47,7 +50,13 @@ impl SharedMap {
                 reason: format!("the mapping thread cannot be started: {error}"),
             })?,
         };
-        Ok(Self { core })
+        Ok(Self { core, share: Share::of_this_thread() })
+    }
+
+    /// Has this thread work for the map, whose cameras have one share of the [cores](crate::Cores) together:
+    /// that of the thread which took the map up.
+    pub fn enter(&self) -> Option<Joined> {
+        self.share.clone().map(Share::enter)
     }
 
     /// The newest consistent state of the map.

@@ -40,7 +40,8 @@ pub struct KeyframeImage {
 /// What is durable after a commit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Committed {
-    /// Every frame of the map's own camera handed over so far up to this sequence number is in the database; `None` before the first.
+    /// Every frame of the map's own camera handed over so far up to this sequence number is in the database;
+    /// `None` before the first.
     pub last_sequence: Option<u64>,
     /// How many things the session has now.
     pub counts: SessionCounts,

@@ -27,6 +27,10 @@ pub struct StreamArgs {
     /// The session; it is made if there is none of this name [default: a new one, named by the server]
     #[arg(long, value_name = "NAME", value_parser = session_id)]
     session: Option<String>,
+    /// Have the new session's camera extend the map of this session, beside that one's camera and at the same
+    /// time, instead of making a map of its own
+    #[arg(long, value_name = "NAME", value_parser = session_id)]
+    map: Option<String>,
     /// What the server does when frames come faster than it tracks: hold them back, or drop the oldest
     /// [default: lossless; realtime for a camera]
     #[arg(long, value_enum)]
@@ -218,6 +222,16 @@ async fn open_session(client: &mut SlamClient, args: &StreamArgs, input: &Input)
         if !session.camera.as_ref().is_some_and(is_same) {
             bail!("the session `{name}` was made for another camera than that of {}", input.name);
         }
+        if let Some(map) = args.map.as_ref().filter(|map| session.map.as_ref() != Some(*map)) {
+            match &session.map {
+                Some(other) => {
+                    bail!("the session `{name}` extends the map of `{other}`, not that of `{map}`")
+                }
+                None => bail!(
+                    "the session `{name}` has a map of its own; leave out --map, or name another session"
+                ),
+            }
+        }
         if args.options.message() != v1::SessionOptions::default() {
             eprintln!("the session `{name}` is there already and keeps the options it was made with");
         }
@@ -229,10 +243,19 @@ async fn open_session(client: &mut SlamClient, args: &StreamArgs, input: &Input)
         "there is no session `{name}` to locate frames in; leave out --localize-only to make one"
     );
     let mut options = args.options.message();
+    let mask = input.mask.clone().unwrap_or_default();
+    if let Some(map) = &args.map {
+        // Of a camera that nobody knows the map knows more, if it is like its own.
+        let is_known = camera.fx != 0.0 || camera.fy != 0.0;
+        let (session_id, camera) = (name.to_owned(), is_known.then_some(camera));
+        let (options, map) = (Some(options), map.clone());
+        return Ok(client
+            .create(v1::CreateSessionRequest { session_id, camera, options, mask, map })
+            .await?);
+    }
     if input.is_approximate {
         options.set_calibration(v1::Calibration::Approximate);
     }
-    let mask = input.mask.clone().unwrap_or_default();
     Ok(client.create_session_with_mask(name, &input.camera, options, mask).await?)
 }
 

@@ -50,13 +50,19 @@ class Client:
         self.close()
 
     def create_session(
-        self, session_id: str, camera: Camera, options: SessionOptions | None = None
+        self,
+        session_id: str,
+        camera: Camera | None,
+        options: SessionOptions | None = None,
+        *,
+        map: str = "",
     ) -> Session:
-        """Makes a session for one camera; with an empty id the server chooses one. Raises ExistsError,
-        InvalidError."""
-        return _convert.session(
-            self._ask(self._stub.CreateSession, _wire.create_request(session_id, camera, options))
-        )
+        """Makes a session for one camera; with an empty id the server chooses one. With `map`, a session's id,
+        the camera extends that one's map beside its camera and at the same time; it may then be `None` if it is
+        like the map's own, and options that concern the map are refused. Raises ExistsError, InvalidError,
+        NotFoundError."""
+        request = _wire.create_request(session_id, camera, options, map)
+        return _convert.session(self._ask(self._stub.CreateSession, request))
 
     def session(self, session_id: str) -> Session | None:
         """The session as it is now; `None` if there is none."""
@@ -80,7 +86,8 @@ class Client:
             request.page_token = page.next_page_token
 
     def delete_session(self, session_id: str) -> None:
-        """Deletes a session with its map. Raises NotFoundError, or BusyError while a writer is connected."""
+        """Deletes a session with its map; one that extends another's map with its trajectory alone. Raises
+        NotFoundError, or BusyError while a writer is connected or others extend its map."""
         self._ask(self._stub.DeleteSession, pb.DeleteSessionRequest(session_id=session_id))
 
     def update_session(self, session_id: str, options: SessionOptions) -> Session:

@@ -105,6 +105,7 @@ def session(message: pb.Session) -> model.Session:
         meters_per_unit=optional(m, "metres_per_unit"),
         refined_camera=None if refined is None else camera(refined),
         found_readout=_readout(m),
+        map=optional(m, "map"),
     )
 
 

@@ -151,12 +151,13 @@ def backoff_s(n_attempts: int) -> float:
 
 
 def create_request(
-    session_id: str, camera: Camera, options: SessionOptions | None
+    session_id: str, camera: Camera | None, options: SessionOptions | None, map: str
 ) -> pb.CreateSessionRequest:
     return pb.CreateSessionRequest(
         session_id=session_id,
-        camera=_convert.camera_message(camera),
+        camera=None if camera is None else _convert.camera_message(camera),
         options=_convert.options_message(options),
+        map=map,
     )
 
 

@@ -59,10 +59,15 @@ class AsyncClient:
         await self.close()
 
     async def create_session(
-        self, session_id: str, camera: Camera, options: SessionOptions | None = None
+        self,
+        session_id: str,
+        camera: Camera | None,
+        options: SessionOptions | None = None,
+        *,
+        map: str = "",
     ) -> Session:
         """See `Client.create_session`."""
-        request = _wire.create_request(session_id, camera, options)
+        request = _wire.create_request(session_id, camera, options, map)
         return _convert.session(await self._ask(self._stub.CreateSession, request))
 
     async def session(self, session_id: str) -> Session | None:

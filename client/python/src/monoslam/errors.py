@@ -87,7 +87,7 @@ class InvalidError(RefusedError):
 
 
 class BusyError(RefusedError):
-    """Another writer is connected, or the server has as much to do as it takes."""
+    """Another writer is connected, other sessions extend the map, or the server has as much to do as it takes."""
 
 
 _KINDS: dict[grpc.StatusCode, type[RefusedError]] = {
@@ -95,7 +95,7 @@ _KINDS: dict[grpc.StatusCode, type[RefusedError]] = {
     grpc.StatusCode.ALREADY_EXISTS: ExistsError,
     grpc.StatusCode.INVALID_ARGUMENT: InvalidError,
 }
-_BUSY = {"WRITER_CONNECTED", "TOO_MANY_SESSIONS", "TOO_MANY_LOADED_SESSIONS", "TOO_BUSY"}
+_BUSY = {"WRITER_CONNECTED", "MAP_SHARED", "TOO_MANY_SESSIONS", "TOO_MANY_LOADED_SESSIONS", "TOO_BUSY"}
 
 
 def from_rpc_error(server: str, error: grpc.RpcError) -> MonoslamError:

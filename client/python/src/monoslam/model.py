@@ -144,6 +144,8 @@ class Session:
     """The camera as the session has found it to be; `None` while the calibration is used as it was given."""
     found_readout: Readout | None = None
     """The readout of its rolling shutter as found; `None` where told, and until the motion has shown one."""
+    map: str | None = None
+    """The session whose map its camera extends; `None` if it has one of its own."""
 
 
 @dataclass(frozen=True)

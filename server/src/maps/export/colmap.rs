@@ -7,9 +7,10 @@ use super::{ColmapPart, Export};
 use crate::error::{ApiError, ErrorCode};
 use crate::options::working_camera;
 use geometry::{CameraModel, CameraParameters};
-use slam::map::KeyframeId;
+use slam::map::{CameraId, KeyframeId};
 use std::collections::BTreeMap;
 use std::fmt::Write;
+use store::SessionRecord;
 
 /// From the center of the top-left pixel to its corner, pixels.
 pub(super) const HALF_PIXEL: f64 = 0.5;
@@ -20,17 +21,28 @@ const NO_ERROR: &str = "-1";
 pub(super) async fn write(export: &mut Export, part: ColmapPart) -> Result<(), ApiError> {
     match part {
         ColmapPart::Cameras => {
-            let camera = camera_line(&export.camera())?;
+            let mut lines = camera_line(OWN_CAMERA, &export.camera())?;
+            for (id, camera) in &export.cameras.cameras {
+                lines.push_str(&camera_line(number_of(*id), camera)?);
+            }
             let head = "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n";
             export.out.write(head).await?;
-            export.out.write(&camera).await
+            export.out.write(&lines).await
         }
         ColmapPart::Images => write_images(export).await,
         ColmapPart::Points3D => write_points(export).await,
     }
 }
 
-fn camera_line(camera: &CameraParameters) -> Result<String, ApiError> {
+/// COLMAP's number of the map's own camera.
+const OWN_CAMERA: u32 = 1;
+
+/// COLMAP's number of one that was added.
+fn number_of(camera: CameraId) -> u32 {
+    OWN_CAMERA + camera.0
+}
+
+fn camera_line(number: u32, camera: &CameraParameters) -> Result<String, ApiError> {
     let CameraParameters { model, width, height, fx, fy, cx, cy, distortion } = camera;
     let mut coefficients = distortion.clone();
     let name = match model {
@@ -51,7 +63,7 @@ fn camera_line(camera: &CameraParameters) -> Result<String, ApiError> {
         }
     };
     let (cx, cy) = (cx + HALF_PIXEL, cy + HALF_PIXEL);
-    let mut line = format!("1 {name} {width} {height} {fx} {fy} {cx} {cy}");
+    let mut line = format!("{number} {name} {width} {height} {fx} {fy} {cx} {cy}");
     for coefficient in coefficients {
         let _ = write!(line, " {coefficient}");
     }
@@ -82,14 +94,22 @@ async fn write_images(export: &mut Export) -> Result<(), ApiError> {
                 #   POINTS2D[] as (X, Y, POINT3D_ID)\n";
     export.out.write(head).await?;
     let seen_points = read_seen_points(export).await?;
-    let [factor_x, factor_y] = full_from_working(export)?;
+    let own_factors = full_from_working(export.snapshot.record())?;
     let mut after = None;
     while let Some(records) = export.keyframes_after(&mut after).await? {
         for record in &records {
             let pose = export.units.pose(&record.camera_from_world);
             let (id, name) = (record.id.get(), export.image_name(record).await?);
+            let (camera, [factor_x, factor_y]) = match export.cameras.of(record.id) {
+                None => (OWN_CAMERA, own_factors),
+                Some((camera, _)) => {
+                    let map = &export.snapshot.record().id;
+                    let record = export.store.record_of_keyframe(map, record.id).await?;
+                    (number_of(camera), full_from_working(&record)?)
+                }
+            };
             let mut text = format!(
-                "{id} {} {} {} {} {} {} {} 1 {name}\n",
+                "{id} {} {} {} {} {} {} {} {camera} {name}\n",
                 pose.qw, pose.qx, pose.qy, pose.qz, pose.tx, pose.ty, pose.tz
             );
             let seen = seen_points.get(&record.id);
@@ -109,9 +129,8 @@ async fn write_images(export: &mut Export) -> Result<(), ApiError> {
     Ok(())
 }
 
-/// Pixels of the session's camera per pixel of the working image that keypoints are measured in.
-fn full_from_working(export: &Export) -> Result<[f64; 2], ApiError> {
-    let record = export.snapshot.record();
+/// Pixels of the camera per pixel of the working image that keypoints are measured in.
+fn full_from_working(record: &SessionRecord) -> Result<[f64; 2], ApiError> {
     let working = working_camera(record)?;
     let factor = |full: u32, working: u32| f64::from(full) / f64::from(working);
     Ok([factor(record.camera.width, working.width()), factor(record.camera.height, working.height())])
@@ -156,7 +175,7 @@ mod tests {
             cy: 239.0,
             distortion: distortion.to_vec(),
         };
-        let line = |model, distortion: &[f64]| camera_line(&camera(model, distortion)).unwrap();
+        let line = |model, distortion: &[f64]| camera_line(1, &camera(model, distortion)).unwrap();
         assert_eq!(line(CameraModel::Pinhole, &[]), "1 PINHOLE 640 480 500 501.5 320 239.5\n");
         let opencv = "1 OPENCV 640 480 500 501.5 320 239.5 0.1 -0.2 0 0.001\n";
         assert_eq!(line(CameraModel::Radtan, &[0.1, -0.2, 0.0, 0.001]), opencv);
@@ -164,6 +183,6 @@ mod tests {
         assert_eq!(full, "1 FULL_OPENCV 640 480 500 501.5 320 239.5 0.1 -0.2 0 0.001 3 0 0 0\n");
         assert!(line(CameraModel::Fov, &[0.9]).starts_with("1 FOV "));
         assert!(line(CameraModel::KannalaBrandt, &[0.0; 4]).starts_with("1 OPENCV_FISHEYE "));
-        assert!(camera_line(&camera(CameraModel::DoubleSphere, &[-0.2, 0.6])).is_err());
+        assert!(camera_line(2, &camera(CameraModel::DoubleSphere, &[-0.2, 0.6])).is_err());
     }
 }

@@ -21,11 +21,11 @@ use crate::session::SessionId;
 use bytes::Bytes;
 use futures_util::Stream;
 use geometry::CameraParameters;
-use slam::map::{PointLandmark, SubmapId};
+use slam::map::{CameraId, KeyframeId, PointLandmark, SubmapId};
 use spool::Spool;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use store::{KeyframeRecord, MapSnapshot, Store};
+use store::{KeyframeRecord, MapSnapshot, SessionRecord, Store};
 
 /// How a map is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -95,7 +95,8 @@ impl MapQueries {
             working_width_px: working_camera(snapshot.record())?.width(),
         };
         let (store, shades) = (self.store.clone(), self.shades.clone());
-        let mut export = Export { units, snapshot, submap, out, store, shades, session };
+        let cameras = AddedCameras::read(&store, snapshot.record()).await?;
+        let mut export = Export { units, snapshot, submap, out, store, shades, session, cameras };
         if submap.is_none() && format != MapFormat::Json {
             export.submap = Some(export.largest_submap().await?);
         }
@@ -145,13 +146,39 @@ struct Export {
     store: Store,
     shades: Arc<Shades>,
     session: ShadedSession,
+    cameras: AddedCameras,
+}
+
+/// Cameras that were added to the map and have another calibration than its own.
+#[derive(Default)]
+struct AddedCameras {
+    cameras: BTreeMap<CameraId, CameraParameters>,
+    /// Of which of them keyframes are.
+    of_keyframes: BTreeMap<KeyframeId, CameraId>,
+}
+
+impl AddedCameras {
+    async fn read(store: &Store, map: &SessionRecord) -> Result<Self, ApiError> {
+        if map.last_camera == CameraId::default() {
+            return Ok(Self::default());
+        }
+        let (mut cameras, of_keyframes) = store.added_cameras(&map.id).await?;
+        cameras.retain(|_, camera| *camera != map.camera);
+        Ok(Self { cameras, of_keyframes })
+    }
+
+    /// That of a keyframe; `None` where it is like the map's own.
+    fn of(&self, keyframe: KeyframeId) -> Option<(CameraId, &CameraParameters)> {
+        let id = self.of_keyframes.get(&keyframe)?;
+        Some((*id, self.cameras.get(id)?))
+    }
 }
 
 /// The gray of points that no kept image shows.
 const GRAY: u8 = 200;
 
 impl Export {
-    /// The camera the map was made with.
+    /// The map's own camera.
     fn camera(&self) -> CameraParameters {
         let record = self.snapshot.record();
         record.refined_camera().unwrap_or_else(|| record.camera.clone())

@@ -29,10 +29,15 @@ pub(super) async fn write(export: &mut Export) -> Result<(), ApiError> {
         for record in records.iter().filter(|record| record.has_image) {
             let name = export.image_name(record).await?;
             let camera_from_world = export.units.scaled(&record.camera_from_world);
-            let frame = json!({
-                "file_path": format!("{IMAGES}/{name}"),
-                "transform_matrix": rows(&opengl(&camera_from_world.inverse())),
-            });
+            let mut frame = match export.cameras.of(record.id) {
+                // Its fields go before those of the whole.
+                Some((_, camera)) => camera_fields(camera)?,
+                None => Map::new(),
+            };
+            frame.insert("file_path".to_owned(), format!("{IMAGES}/{name}").into());
+            let matrix = rows(&opengl(&camera_from_world.inverse()));
+            frame.insert("transform_matrix".to_owned(), json!(matrix));
+            let frame = Value::Object(frame);
             let _ = write!(text, "{separator}{frame}");
             separator = ",\n";
         }

@@ -1,12 +1,13 @@
 //! A session whose engine fails.
 
 use super::*;
-use crate::config::SessionConfig;
 use crate::session::frame::{Encoding, SentFrame};
+use crate::session::host::Watchers;
 use crate::session::queue::Queued;
 use crate::session::writer;
 use geometry::{Camera, CameraModel, CameraParameters};
-use slam::{Clock, MapUpdate, SlamConfig};
+use slam::map::{CameraId, MapCamera, MapParts};
+use slam::{Clock, JoinState, MapUpdate, SharedMap, SlamConfig};
 use std::sync::atomic::{AtomicBool, Ordering};
 use store::KeyframeImage;
 use vision::decode::PixelFormat;
@@ -59,21 +60,54 @@ fn camera() -> Camera {
 struct Session {
     streams: mpsc::Sender<Stream>,
     thread: std::thread::JoinHandle<()>,
-    _folder: tempfile::TempDir,
+    _folder: Arc<tempfile::TempDir>,
+}
+
+/// A map in memory, and the database that it is not saved in.
+struct Map {
+    host: Arc<MapHost>,
+    store: store::Store,
+    folder: Arc<tempfile::TempDir>,
+}
+
+impl Map {
+    async fn new() -> Self {
+        let map = SharedMap::resume(SlamConfig::default(), &camera(), MapParts::default()).unwrap();
+        let (outbox, _saving) =
+            writer::start(NoDisk, writer::Pace::of(&crate::config::SessionConfig::default(), false));
+        let folder = tempfile::tempdir().unwrap();
+        let options = store::StoreOptions::default();
+        let store = store::Store::open(folder.path().join("maps"), options).await.unwrap();
+        let new = store::NewSession {
+            id: "s".to_owned(),
+            camera: camera().parameters().clone(),
+            options: store::SessionOptions::default(),
+            created_at_ns: 0,
+            mask: None,
+            map: None,
+        };
+        let record = store.create_session(&new).await.unwrap();
+        let host = Arc::new(MapHost::new(record, map, outbox, Watchers::default(), None));
+        Self { host, store, folder: Arc::new(folder) }
+    }
 }
 
 impl Session {
     async fn start(clock: Arc<FragileClock>) -> Self {
-        let pipeline = Pipeline::new(SlamConfig::default(), camera(), clock).unwrap();
-        let (outbox, _saving) =
-            writer::start(NoDisk, None, writer::Pace::of(&SessionConfig::default(), false));
-        let folder = tempfile::tempdir().unwrap();
-        let options = store::StoreOptions::default();
-        let store = store::Store::open(folder.path().join("maps"), options).await.unwrap();
+        Self::start_on(&Map::new().await, 0, clock)
+    }
+
+    /// A session of one of the map's cameras.
+    fn start_on(map: &Map, number: u32, clock: Arc<FragileClock>) -> Self {
+        let Map { host, store, folder } = map;
+        let of_map = MapCamera { id: CameraId(number), is_refined: true };
+        let config = (SlamConfig::default(), camera());
+        let pipeline = Pipeline::join(host.map(), of_map, config, clock, JoinState::default()).unwrap();
         let id = SessionId::parse("s", "id").unwrap();
         let (streams, receiver) = mpsc::channel(1);
-        let history = crate::session::load::LoadContext { store: &store, id: &id }.history();
-        let persistence = Persistence { outbox, history, last_frame: None, ahead_ns: 0 };
+        let history = crate::session::load::LoadContext { store, id: &id }.history("s");
+        let (host, camera) = (host.clone(), of_map.id);
+        let persistence = Persistence { host, camera, history, last_frame: None, ahead_ns: 0 };
         let config = WorkerConfig {
             leaps: Leaps::of(&crate::config::SessionConfig::default()),
             decode_limits: DecodeLimits::default(),
@@ -90,7 +124,13 @@ impl Session {
         };
         let worker = Worker::new(id, config, pipeline, persistence, ends, Handle::current());
         let thread = std::thread::spawn(move || worker.run());
-        Self { streams, thread, _folder: folder }
+        Self { streams, thread, _folder: folder.clone() }
+    }
+
+    async fn ended(self) {
+        let Self { streams, thread, _folder } = self;
+        tokio::task::spawn_blocking(move || thread.join()).await.unwrap().expect("the panic was caught");
+        assert!(streams.is_closed());
     }
 }
 
@@ -154,7 +194,32 @@ async fn a_panic_ends_the_session_with_a_clear_error_and_lets_nobody_wait() {
     assert_eq!(error.code, ErrorCode::SessionFailed);
     assert!(answers.recv().await.is_none(), "the stream goes on after the session failed");
     assert!(served.is_cancelled() && queue.is_closed());
-    let Session { streams, thread, _folder } = session;
-    tokio::task::spawn_blocking(move || thread.join()).await.unwrap().expect("the panic was caught");
-    assert!(streams.is_closed());
+    session.ended().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_panic_in_one_camera_ends_all_sessions_of_the_map_and_lets_nobody_wait() {
+    let (map, clock) = (Map::new().await, Arc::new(FragileClock::default()));
+    let (failing, other) =
+        (Session::start_on(&map, 0, clock.clone()), Session::start_on(&map, 1, Arc::default()));
+    let idle = Session::start_on(&map, 2, Arc::default());
+    let queues = [0, 1].map(|_| Arc::new(FrameQueue::new(Policy::Lossless, 4)));
+    let [(first, mut first_answers), (second, mut second_answers)] = queues.each_ref().map(stream);
+    failing.streams.send(first).await.unwrap();
+    other.streams.send(second).await.unwrap();
+    for (queue, answers) in [(&queues[0], &mut first_answers), (&queues[1], &mut second_answers)] {
+        queue.push(frame(0)).await.unwrap();
+        assert!(matches!(answers.recv().await, Some(Ok(Reply::Answered(_)))));
+    }
+    clock.0.store(true, Ordering::SeqCst);
+    queues[0].push(frame(1)).await.unwrap();
+    // The other client sends nothing, and is told all the same.
+    for answers in [&mut first_answers, &mut second_answers] {
+        let error = answers.recv().await.unwrap().unwrap_err();
+        assert_eq!(error.code, ErrorCode::SessionFailed);
+    }
+    assert!(map.host.is_over(), "nobody goes on with what is in memory");
+    for session in [failing, other, idle] {
+        session.ended().await;
+    }
 }

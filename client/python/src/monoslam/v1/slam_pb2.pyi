@@ -208,7 +208,7 @@ class SessionOptions(_message.Message):
     def __init__(self, deterministic: bool = ..., seed: _Optional[int] = ..., n_features: _Optional[int] = ..., points: bool = ..., lines: bool = ..., global_primitives: bool = ..., loop_closing: bool = ..., max_keyframes: _Optional[int] = ..., refine_calibration: bool = ..., calibration: _Optional[_Union[Calibration, str]] = ..., give_up_calibration: bool = ..., find_mask: bool = ..., readout_ms: _Optional[float] = ...) -> None: ...
 
 class Session(_message.Message):
-    __slots__ = ("id", "camera", "options", "created_at_ns", "state", "n_frames", "n_keyframes", "n_points", "n_lines", "n_primitives", "n_submaps", "durable_sequence", "next_sequence", "loaded", "has_writer", "last_timestamp_ns", "metres_per_unit", "refined_camera", "damage", "scale_measurement", "mask", "camera_warnings", "found_readout")
+    __slots__ = ("id", "camera", "options", "created_at_ns", "state", "n_frames", "n_keyframes", "n_points", "n_lines", "n_primitives", "n_submaps", "durable_sequence", "next_sequence", "loaded", "has_writer", "last_timestamp_ns", "metres_per_unit", "refined_camera", "damage", "scale_measurement", "mask", "camera_warnings", "found_readout", "map")
     ID_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
@@ -232,6 +232,7 @@ class Session(_message.Message):
     MASK_FIELD_NUMBER: _ClassVar[int]
     CAMERA_WARNINGS_FIELD_NUMBER: _ClassVar[int]
     FOUND_READOUT_FIELD_NUMBER: _ClassVar[int]
+    MAP_FIELD_NUMBER: _ClassVar[int]
     id: str
     camera: Camera
     options: SessionOptions
@@ -255,7 +256,8 @@ class Session(_message.Message):
     mask: Mask
     camera_warnings: _containers.RepeatedScalarFieldContainer[str]
     found_readout: Readout
-    def __init__(self, id: _Optional[str] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., state: _Optional[_Union[TrackingState, str]] = ..., n_frames: _Optional[int] = ..., n_keyframes: _Optional[int] = ..., n_points: _Optional[int] = ..., n_lines: _Optional[int] = ..., n_primitives: _Optional[int] = ..., n_submaps: _Optional[int] = ..., durable_sequence: _Optional[int] = ..., next_sequence: _Optional[int] = ..., loaded: bool = ..., has_writer: bool = ..., last_timestamp_ns: _Optional[int] = ..., metres_per_unit: _Optional[float] = ..., refined_camera: _Optional[_Union[Camera, _Mapping]] = ..., damage: _Optional[str] = ..., scale_measurement: _Optional[_Union[ScaleMeasurement, _Mapping]] = ..., mask: _Optional[_Union[Mask, _Mapping]] = ..., camera_warnings: _Optional[_Iterable[str]] = ..., found_readout: _Optional[_Union[Readout, _Mapping]] = ...) -> None: ...
+    map: str
+    def __init__(self, id: _Optional[str] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., state: _Optional[_Union[TrackingState, str]] = ..., n_frames: _Optional[int] = ..., n_keyframes: _Optional[int] = ..., n_points: _Optional[int] = ..., n_lines: _Optional[int] = ..., n_primitives: _Optional[int] = ..., n_submaps: _Optional[int] = ..., durable_sequence: _Optional[int] = ..., next_sequence: _Optional[int] = ..., loaded: bool = ..., has_writer: bool = ..., last_timestamp_ns: _Optional[int] = ..., metres_per_unit: _Optional[float] = ..., refined_camera: _Optional[_Union[Camera, _Mapping]] = ..., damage: _Optional[str] = ..., scale_measurement: _Optional[_Union[ScaleMeasurement, _Mapping]] = ..., mask: _Optional[_Union[Mask, _Mapping]] = ..., camera_warnings: _Optional[_Iterable[str]] = ..., found_readout: _Optional[_Union[Readout, _Mapping]] = ..., map: _Optional[str] = ...) -> None: ...
 
 class Readout(_message.Message):
     __slots__ = ("readout_ms", "sigma_ms")
@@ -274,16 +276,18 @@ class Mask(_message.Message):
     def __init__(self, share: _Optional[float] = ..., given: bool = ...) -> None: ...
 
 class CreateSessionRequest(_message.Message):
-    __slots__ = ("session_id", "camera", "options", "mask")
+    __slots__ = ("session_id", "camera", "options", "mask", "map")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
     MASK_FIELD_NUMBER: _ClassVar[int]
+    MAP_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     camera: Camera
     options: SessionOptions
     mask: bytes
-    def __init__(self, session_id: _Optional[str] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ..., mask: _Optional[bytes] = ...) -> None: ...
+    map: str
+    def __init__(self, session_id: _Optional[str] = ..., camera: _Optional[_Union[Camera, _Mapping]] = ..., options: _Optional[_Union[SessionOptions, _Mapping]] = ..., mask: _Optional[bytes] = ..., map: _Optional[str] = ...) -> None: ...
 
 class GetSessionRequest(_message.Message):
     __slots__ = ("session_id",)

@@ -140,7 +140,8 @@ class SlamServiceServicer(object):
     """Missing associated documentation comment in .proto file."""
 
     def CreateSession(self, request, context):
-        """Makes a session for one camera. Fails with ALREADY_EXISTS when the chosen id is taken.
+        """Makes a session for one camera, with a map of its own or on the map of another session, which both then extend at the same
+        time. Fails with ALREADY_EXISTS when the chosen id is taken.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -160,7 +161,8 @@ class SlamServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DeleteSession(self, request, context):
-        """Deletes a session with its whole map. Fails with FAILED_PRECONDITION while a writer is connected.
+        """Deletes a session with its whole map; one that extends the map of another with its trajectory alone. Fails with
+        FAILED_PRECONDITION while a writer is connected or other sessions extend its map.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
