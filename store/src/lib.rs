@@ -65,6 +65,7 @@ mod frames;
 #[cfg(fuzzing)]
 pub mod fuzzing;
 mod graph;
+mod images;
 mod keyframes;
 mod lease;
 mod lines;
@@ -96,6 +97,7 @@ pub use error::StoreError;
 pub use fleet::{Holder, Load, ServerRecord};
 pub use frames::{FrameEntry, FramePlace};
 pub use graph::{Covisibility, SharedLandmarks};
+pub use images::{Collected, ObjectOptions, Objects};
 pub use keyframes::{KeyframeRecord, StoredImage};
 pub use lease::Owner;
 pub use lines::LineQuery;

@@ -12,6 +12,7 @@ mod idle;
 mod load;
 mod manager;
 mod memory;
+mod objects;
 mod program;
 mod reload;
 mod traces;
