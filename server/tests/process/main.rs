@@ -5,6 +5,7 @@ mod crash;
 mod database;
 mod faults;
 mod fleet;
+mod fleet_cut;
 mod fleet_kills;
 mod fleet_relay;
 mod fleet_restart;
