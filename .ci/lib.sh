@@ -67,7 +67,7 @@ postgresql() {
 python_packages() {
   [ -z "${READERS_PYTHON:-}" ] || return 0
   local folder=target/python
-  if ! "$folder/bin/python" -c "import mcap, plyfile, pycolmap" 2>/dev/null; then
+  if ! "$folder/bin/python" -c "import mcap, moto.server, plyfile, pycolmap" 2>/dev/null; then
     python3 -m venv "$folder" && "$folder/bin/pip" install --quiet -r cli/tests/requirements.txt || return 1
   fi
   READERS_PYTHON=$PWD/$folder/bin/python

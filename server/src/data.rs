@@ -114,6 +114,15 @@ fn lock(file: &File, path: &Path) -> anyhow::Result<()> {
 /// # Errors
 /// If the database cannot be opened.
 pub async fn open_store(config: &Config) -> anyhow::Result<Store> {
+    let store = open_database(config).await?.with_objects(config.storage.objects()?);
+    let n_objects = store.n_image_objects().await?;
+    if n_objects > 0 && config.storage.objects.is_none() {
+        tracing::error!("{n_objects} images lie in an object store, and storage.objects names none");
+    }
+    Ok(store)
+}
+
+async fn open_database(config: &Config) -> anyhow::Result<Store> {
     let options = StoreOptions { max_bytes: config.limits.max_database_bytes, ..config.storage.options() };
     if let Some(url) = &config.storage.url {
         return Store::connect(url, options).await.context("storage.url: the database cannot be used");
@@ -129,7 +138,8 @@ pub async fn open_store(config: &Config) -> anyhow::Result<Store> {
 pub async fn open_store_beside(config: &Config) -> anyhow::Result<Store> {
     if let Some(url) = &config.storage.url {
         let opened = Store::connect_beside(url, config.storage.options()).await;
-        return opened.context("storage.url: the database cannot be used");
+        let opened = opened.context("storage.url: the database cannot be used")?;
+        return Ok(opened.with_objects(config.storage.objects()?));
     }
     let folder = &config.data_dir;
     std::fs::create_dir_all(folder)

@@ -56,6 +56,8 @@ pub enum ErrorCode {
     StorageFull,
     /// The database cannot be used now.
     StorageFailed,
+    /// The object store of images cannot be used now.
+    ObjectsFailed,
     /// The stored map cannot be used.
     DataLoss,
     /// What is stored of the session is damaged; others are not affected.
@@ -118,6 +120,7 @@ impl ErrorCode {
             Self::UnsupportedMediaType => "UNSUPPORTED_MEDIA_TYPE",
             Self::StorageFull => "STORAGE_FULL",
             Self::StorageFailed => "STORAGE_FAILED",
+            Self::ObjectsFailed => "OBJECTS_FAILED",
             Self::DataLoss => "DATA_LOSS",
             Self::SessionDamaged => "SESSION_DAMAGED",
             Self::OwnedElsewhere => "OWNED_ELSEWHERE",
@@ -164,6 +167,7 @@ impl ErrorCode {
             Self::UnsupportedMediaType => "The body is of a type that is not taken here",
             Self::StorageFull => "The storage is full",
             Self::StorageFailed => "The storage failed",
+            Self::ObjectsFailed => "The object store failed",
             Self::DataLoss | Self::SessionDamaged => "The stored map is damaged",
             Self::OwnedElsewhere => "Another server works with the session",
             Self::OwnerUnreachable => "The session's server cannot be reached",
@@ -213,6 +217,7 @@ impl ErrorCode {
             | Self::StorageFull => Code::ResourceExhausted,
             Self::TookTooLong => Code::DeadlineExceeded,
             Self::StorageFailed
+            | Self::ObjectsFailed
             | Self::OwnedElsewhere
             | Self::OwnerUnreachable
             | Self::LeaseLost
@@ -255,6 +260,7 @@ impl ErrorCode {
             Self::UnsupportedMediaType => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             Self::StorageFull => StatusCode::INSUFFICIENT_STORAGE,
             Self::StorageFailed
+            | Self::ObjectsFailed
             | Self::OwnerUnreachable
             | Self::LeaseLost
             | Self::ShuttingDown
@@ -359,6 +365,7 @@ impl From<StoreError> for ApiError {
             | StoreError::Gone { .. }
             | StoreError::Unreachable(_)
             | StoreError::Failing(_) => ErrorCode::StorageFailed,
+            StoreError::Objects(_) => ErrorCode::ObjectsFailed,
             StoreError::OwnedElsewhere { .. } => ErrorCode::OwnedElsewhere,
             StoreError::LeaseLost { .. } => ErrorCode::LeaseLost,
             StoreError::Corrupt(_) | StoreError::Map(_) | StoreError::OtherSettings(_) => ErrorCode::DataLoss,

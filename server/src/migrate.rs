@@ -1,6 +1,7 @@
 //! `monoslam-server migrate`: everything of one database into another.
 
 use crate::data::{DATABASE_FILE, DataLock};
+use crate::storage::StorageConfig;
 use anyhow::{Context, bail, ensure};
 use clap::Args;
 use std::io::Write;
@@ -25,6 +26,10 @@ pub struct MigrateCommand {
     /// Where to, in the same words; made if it is a folder that is not there
     #[arg(long, value_name = "DATABASE")]
     to: String,
+    /// Bring images to this object store, `s3://BUCKET/PREFIX` or `file:///FOLDER`, as `storage.objects` has
+    /// it; those that lie in one already must lie in this one
+    #[arg(long, value_name = "URL")]
+    objects: Option<String>,
 }
 
 /// A database that nobody else uses, as far as that can be known.
@@ -42,7 +47,9 @@ impl MigrateCommand {
     pub async fn run(&self, out: &mut impl Write) -> anyhow::Result<()> {
         ensure!(self.from != self.to, "--from and --to are the same");
         let from = open(&self.from, false).await.context("--from")?;
-        let to = open(&self.to, true).await.context("--to")?;
+        let mut to = open(&self.to, true).await.context("--to")?;
+        let storage = StorageConfig { objects: self.objects.clone(), ..StorageConfig::default() };
+        to.store = to.store.with_objects(storage.objects().context("--objects")?);
         let n_tokens = to.store.copy_tokens(&from.store).await?;
         let (mut n_sessions, mut after) = (0, None);
         loop {

@@ -13,10 +13,14 @@ use anyhow::Context;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
-use store::{Store, TokenRecord};
+use store::{Collected, Store, TokenRecord};
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::{CancellationToken, DropGuard};
+
+/// How often it is looked for objects that no image is in any more: the names of all are listed, a thousand
+/// to a request.
+const ORPHANS_EVERY: Duration = Duration::from_secs(3600);
 
 /// Starts servers. See [`Server::start`].
 #[derive(Debug)]
@@ -70,6 +74,11 @@ impl Server {
         tokio::spawn(service.access().clone().look_after(closing.clone()));
         let (keeping, kept, gone) = (service.clone(), store.clone(), ended.clone());
         tokio::spawn(async move { gone.run_until_cancelled(keep(keeping.registry(), &kept, lease)).await });
+        if service.config().storage.objects.is_some() {
+            let hours = service.config().storage.orphans_after_h;
+            let (store, gone) = (store.clone(), closing.clone());
+            tokio::spawn(async move { gone.run_until_cancelled(collect_orphans(store, hours)).await });
+        }
         tokio::spawn(table.clone().look_after(closing.clone(), ended.clone()));
         if let Some(certificates) = &tls {
             tokio::spawn(certificates.clone().look_after(closing.clone()));
@@ -198,6 +207,19 @@ impl Running {
         }
         tracing::warn!("the grace period of {grace:?} ran out: what was still running is abandoned");
         Shutdown::Abandoned
+    }
+}
+
+/// Removes objects of the object store, now and then, that no image is in any more.
+async fn collect_orphans(store: Store, after_hours: u32) {
+    loop {
+        tokio::time::sleep(ORPHANS_EVERY).await;
+        match store.collect_orphans(after_hours.into()).await {
+            Ok(Collected { n_objects, n_removed, n_removed_bytes }) => tracing::info!(
+                "{n_removed} of {n_objects} objects, {n_removed_bytes} bytes, had no image any more and were removed"
+            ),
+            Err(error) => tracing::warn!("the object store cannot be cleared of what is not wanted: {error}"),
+        }
     }
 }
 

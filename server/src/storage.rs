@@ -1,9 +1,9 @@
 //! Where the database is and how it is kept: what a commit outlives, and when damage is looked for.
 
-use anyhow::ensure;
+use anyhow::{Context, ensure};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
-use store::{Durability, StoreOptions};
+use store::{Durability, ObjectOptions, Objects, StoreOptions};
 
 /// Where the database is and how it is kept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -20,6 +20,16 @@ pub struct StorageConfig {
     pub connect_timeout_s: u32,
     /// Seconds a statement may take in PostgreSQL. Default 30, a thousand times what any takes.
     pub statement_timeout_s: u32,
+    /// Where images of keyframes are kept: `s3://bucket/prefix`, with credentials and endpoint from the
+    /// environment (`AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`, `AWS_ENDPOINT_URL`, …), or
+    /// `file:///folder`. It must be this database's alone. Default none: in the database, as are those from
+    /// before.
+    pub objects: Option<String>,
+    /// Seconds an image may take there or back, with what is tried again. Default 20.
+    pub objects_timeout_s: u32,
+    /// Hours after which an object that no image is in any more is removed. Default 24; at least 2, which
+    /// the machines' clocks may be apart.
+    pub orphans_after_h: u32,
     /// What a commit outlives. Default `full`.
     pub synchronous: Synchronous,
     /// Whether damaged pages are looked for when the server starts. Default true: damage that is found years
@@ -59,6 +69,9 @@ impl Default for StorageConfig {
             n_connections: 8,
             connect_timeout_s: 5,
             statement_timeout_s: 30,
+            objects: None,
+            objects_timeout_s: 20,
+            orphans_after_h: 24,
             synchronous: Synchronous::default(),
             check_at_start: true,
             check_beside_above_bytes: 256 << 20,
@@ -84,6 +97,17 @@ impl StorageConfig {
         }
     }
 
+    /// Where images are kept, if not in the database.
+    ///
+    /// # Errors
+    /// If it cannot be used.
+    pub fn objects(&self) -> anyhow::Result<Option<Objects>> {
+        let Some(url) = &self.objects else { return Ok(None) };
+        let timeout = Duration::from_secs(self.objects_timeout_s.into());
+        let opened = Objects::open(url, ObjectOptions { timeout });
+        Ok(Some(opened.context("storage.objects")?))
+    }
+
     /// Checks that every field can be used.
     ///
     /// # Errors
@@ -93,9 +117,16 @@ impl StorageConfig {
             ("storage.n_connections", self.n_connections),
             ("storage.connect_timeout_s", self.connect_timeout_s),
             ("storage.statement_timeout_s", self.statement_timeout_s),
+            ("storage.objects_timeout_s", self.objects_timeout_s),
         ];
         for (field, count) in counts {
             ensure!((1..=10_000).contains(&count), "{field} is {count} but must be 1 to 10000");
+        }
+        let hours = self.orphans_after_h;
+        ensure!((2..=100_000).contains(&hours), "storage.orphans_after_h is {hours} but must be 2 to 100000");
+        if let Some(url) = &self.objects {
+            let is_known = url.starts_with("s3://") || url.starts_with("file:///");
+            ensure!(is_known, "storage.objects must begin with s3:// or file:///");
         }
         if let Some(url) = &self.url {
             let is_postgres = url.starts_with("postgres://") || url.starts_with("postgresql://");

@@ -1,7 +1,7 @@
 //! What is done with a database by hand: looked at, copied, put back, compacted.
 
 use crate::config::Config;
-use crate::data::{DataLock, database_of, give_to_owner_of};
+use crate::data::{DataLock, database_of, give_to_owner_of, open_store_beside};
 use anyhow::{Context, ensure};
 use clap::Subcommand;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -54,14 +54,17 @@ impl UpkeepCommand {
     /// If it cannot be done, or what was looked at is not whole.
     pub async fn run(&self, config: &Config, out: &mut impl Write) -> anyhow::Result<()> {
         match self {
+            Self::Check if config.storage.url.is_some() && config.storage.objects.is_some() => {
+                check_objects(config, out).await
+            }
             Self::Check => {
                 let file = file_of(config)?;
                 ensure!(file.exists(), "there is no database at {}", file.display());
-                verify(&file, out).await
+                verify(config, &file, out).await
             }
             Self::Verify { file } => {
                 ensure!(file.exists(), "there is no file {}", file.display());
-                verify(file, out).await
+                verify(config, file, out).await
             }
             Self::Backup { file, force } => back_up(config, file, *force, out).await,
             Self::Restore { file, force } => restore(config, file, *force, out).await,
@@ -80,10 +83,31 @@ fn file_of(config: &Config) -> anyhow::Result<PathBuf> {
     Ok(database_of(config))
 }
 
-async fn verify(file: &Path, out: &mut impl Write) -> anyhow::Result<()> {
-    let verified = Store::verify(file).await;
+/// Looks whether the images are there that a database of PostgreSQL has in an object store.
+async fn check_objects(config: &Config, out: &mut impl Write) -> anyhow::Result<()> {
+    let store = open_store_beside(config).await?;
+    let findings = store.check_objects().await?;
+    for finding in &findings {
+        writeln!(out, "{finding}")?;
+    }
+    ensure!(findings.is_empty(), "{} problems found in the object store", findings.len());
+    writeln!(out, "images in the object store: {}, all there", store.n_image_objects().await?)?;
+    writeln!(out, "the database itself is looked at by PostgreSQL's own programs, such as pg_amcheck")?;
+    store.close().await?;
+    Ok(())
+}
+
+async fn verify(config: &Config, file: &Path, out: &mut impl Write) -> anyhow::Result<()> {
+    let verified = Store::verify_with(file, config.storage.objects()?).await;
     let verified = verified.with_context(|| format!("{} cannot be checked", file.display()))?;
-    let Verified { findings, n_sessions, schema, are_sessions_checked, n_log_bytes_left_out } = &verified;
+    let Verified {
+        findings,
+        n_sessions,
+        schema,
+        are_sessions_checked,
+        n_log_bytes_left_out,
+        n_image_objects,
+    } = &verified;
     if *n_log_bytes_left_out > 0 {
         let log = format!("without the {n_log_bytes_left_out} bytes in its log");
         writeln!(out, "{} cannot be written and is read as it is, {log}", file.display())?;
@@ -92,6 +116,12 @@ async fn verify(file: &Path, out: &mut impl Write) -> anyhow::Result<()> {
         writeln!(out, "{finding}")?;
     }
     ensure!(findings.is_empty(), "{} problems found in {}", findings.len(), file.display());
+    if *n_image_objects > 0 && config.storage.objects.is_none() {
+        writeln!(
+            out,
+            "not looked for, since storage.objects names no object store: {n_image_objects} images"
+        )?;
+    }
     if *are_sessions_checked {
         writeln!(out, "{} is whole; sessions: {n_sessions}", file.display())?;
     } else {
@@ -122,12 +152,18 @@ async fn back_up(config: &Config, file: &Path, force: bool, out: &mut impl Write
     let copying = Store::back_up(&from, copy.path());
     let copied = shown("copying", copy.path(), n_bytes, copying).await;
     copied.with_context(|| format!("{} cannot be copied", from.display()))?;
-    require_whole(copy.path(), "the copy").await?;
+    let n_image_objects = require_whole(copy.path(), "the copy").await?;
     let put = if force { copy.persist(file).map(drop) } else { copy.persist_noclobber(file).map(drop) };
     put.with_context(|| format!("cannot give the copy its name {}", file.display()))?;
     sync_folder(folder)?;
     let mb = file.metadata().map_or(0.0, |file| file.len() as f64 * 1e-6);
     writeln!(out, "{}: {mb:.1} MB, verified", file.display())?;
+    if n_image_objects > 0 {
+        writeln!(
+            out,
+            "not in it, but in the object store, which needs a backup of its own: {n_image_objects} images"
+        )?;
+    }
     Ok(())
 }
 
@@ -196,13 +232,14 @@ fn log_of(database: &Path) -> PathBuf {
     PathBuf::from(format!("{}-wal", database.display()))
 }
 
-async fn require_whole(copy: &Path, name: &str) -> anyhow::Result<()> {
+/// Fails if a copy is damaged; how many images are not in it, but in an object store.
+async fn require_whole(copy: &Path, name: &str) -> anyhow::Result<u64> {
     let verified = Store::verify(copy).await.with_context(|| format!("{name} cannot be verified"))?;
     if let Some(first) = verified.findings.first() {
         let n = verified.findings.len();
         anyhow::bail!("{name} is damaged, nothing was put in place: {first} ({n} problems)");
     }
-    Ok(())
+    Ok(verified.n_image_objects)
 }
 
 /// An empty file, for its owner alone, that is gone again unless it is given a name.

@@ -4,7 +4,7 @@
 use crate::engine::query;
 use crate::engine::sqlite::{reading, schema_of, whole_file};
 use crate::error::{is_damage, is_interrupted};
-use crate::{Finding, Store, StoreError};
+use crate::{Finding, Objects, Store, StoreError};
 use sqlx::{Connection, Row, SqliteConnection};
 use std::path::{Path, PathBuf};
 
@@ -26,6 +26,8 @@ pub struct Verified {
     pub are_sessions_checked: bool,
     /// Bytes in its log that were left out, because the log cannot be read without being written.
     pub n_log_bytes_left_out: u64,
+    /// Images that lie in an object store, and not in the file.
+    pub n_image_objects: u64,
 }
 
 impl Store {
@@ -83,6 +85,15 @@ impl Store {
     /// # Errors
     /// If it is no database of ours, or cannot be read at all.
     pub async fn verify(path: &Path) -> Result<Verified, StoreError> {
+        Self::verify_with(path, None).await
+    }
+
+    /// As [`Self::verify`]; whether images are in the object store that the database has there is looked up
+    /// as well.
+    ///
+    /// # Errors
+    /// As [`Self::verify`], and [`StoreError::Objects`].
+    pub async fn verify_with(path: &Path, objects: Option<Objects>) -> Result<Verified, StoreError> {
         let log = PathBuf::from(format!("{}-wal", path.display()));
         let n_log_bytes = log.metadata().map_or(0, |log| log.len());
         let options = reading(path, &crate::StoreOptions::default());
@@ -110,11 +121,24 @@ impl Store {
         }
         let are_sessions_checked = schema == supported;
         let store = Self::to_read(path, &options);
-        let findings =
+        let mut findings =
             if are_sessions_checked { store.check().await? } else { store.check_file_alone().await? };
+        // Of an earlier schema none does.
+        let n_image_objects = store.n_image_objects().await.unwrap_or(0);
+        let store = store.with_objects(objects);
+        if are_sessions_checked && store.objects.is_some() {
+            findings.extend(store.check_objects().await?);
+        }
         let n_sessions = store.count_named().await.unwrap_or(0);
         store.close_read().await;
-        Ok(Verified { findings, n_sessions, schema, are_sessions_checked, n_log_bytes_left_out })
+        Ok(Verified {
+            findings,
+            n_sessions,
+            schema,
+            are_sessions_checked,
+            n_log_bytes_left_out,
+            n_image_objects,
+        })
     }
 
     /// Looks for damaged pages: every page is read and its structure checked, without the contents of

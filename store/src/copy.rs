@@ -17,6 +17,9 @@ const ROWS_PER_STEP: usize = 4096;
 /// The same of rows with images and features, which are a hundred times larger.
 const BLOBS_PER_STEP: usize = 32;
 
+/// The table of images.
+const IMAGES: &str = "keyframe_images";
+
 /// A table with its columns in the order of either database, without the session's number.
 struct Table {
     name: &'static str,
@@ -51,7 +54,8 @@ const TABLES: [Table; 13] = [
         n_per_step: usize::MAX,
     },
     blobs("keyframe_features", "i keyframe, b features"),
-    blobs("keyframe_images", "i keyframe, t media_type, b bytes"),
+    // By `copy_images`: they may come to lie elsewhere.
+    blobs(IMAGES, "i keyframe, t media_type, b bytes, t object, i object_bytes"),
     table("keyframe_vanishing", "i keyframe, b vanishing"),
     table("removed_keyframes", "i id, i anchor, r qx, r qy, r qz, r qw, r tx, r ty, r tz"),
     table(
@@ -116,7 +120,11 @@ impl Store {
         }
         let number = self.copy_row(&mut source, original).await?;
         for table in &TABLES {
-            self.copy_table(&mut source, table, original, number).await?;
+            if table.name == IMAGES {
+                self.copy_images(&mut source, original, number).await?;
+            } else {
+                self.copy_table(&mut source, table, original, number).await?;
+            }
         }
         for tree in CELLS {
             self.copy_cells(&mut source, tree, original, number).await?;

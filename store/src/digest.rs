@@ -1,6 +1,7 @@
 //! A fingerprint of everything a session has stored, to compare two runs.
 
 use crate::engine::{Connection, HeldValue, Row, query};
+use crate::images::image_hash;
 use crate::points::cell::MAX_POINT_ID;
 use crate::session::session_number;
 use crate::{Store, StoreError};
@@ -35,6 +36,9 @@ impl fmt::Display for Digest {
     }
 }
 
+/// The table of images.
+const IMAGES: &str = "keyframe_images";
+
 /// Every table with every column but the session's number and name and wall-clock time, ordered by key; of
 /// cells, which follow from the rows and which [`Store::check`] compares with them, which there are.
 /// Parameter 1 is the session's number, 2 the mask of a point's id in a key.
@@ -56,8 +60,8 @@ const TABLES: [(&str, &str); 16] = [
         "SELECT keyframe, features FROM keyframe_features WHERE session = $1 ORDER BY keyframe",
     ),
     (
-        "keyframe_images",
-        "SELECT keyframe, media_type, bytes FROM keyframe_images WHERE session = $1 ORDER BY keyframe",
+        IMAGES,
+        "SELECT keyframe, media_type, bytes, object FROM keyframe_images WHERE session = $1 ORDER BY keyframe",
     ),
     (
         "removed_keyframes",
@@ -148,6 +152,12 @@ async fn digest_table(
     let mut rows = statement.fetch(connection);
     while let Some(row) = rows.try_next().await? {
         n_rows += 1;
+        if table == IMAGES {
+            // Wherever the image lies.
+            (0..2).try_for_each(|column| hash_value(&mut hasher, &row, column))?;
+            hasher.update(image_hash(&row, 2, 3)?);
+            continue;
+        }
         (0..row.len()).try_for_each(|column| hash_value(&mut hasher, &row, column))?;
     }
     Ok(TableDigest { table, n_rows, sha256: hasher.finalize().into() })

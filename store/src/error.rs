@@ -97,6 +97,10 @@ pub enum StoreError {
     /// and the update can be tried again.
     #[error("PostgreSQL cannot be reached or used at present: {0}")]
     Unreachable(#[source] sqlx::Error),
+    /// The object store of images does not answer or cannot be used. The last commit is intact and the update
+    /// can be tried again.
+    #[error("the object store of the images cannot be used at present: {0}")]
+    Objects(String),
     /// Another server works with the session.
     #[error("another server works with session {id:?}: {}", owner.grpc_url)]
     OwnedElsewhere {

@@ -109,8 +109,9 @@ impl Store {
         }
         let mut reader = self.reader().await?;
         let row = query(
-            "SELECT l.owner, l.grpc_url, l.http_url, COALESCE(v.is_leaving, FALSE) FROM sessions s
-             JOIN leases l ON l.session = s.number AND l.expires_at > clock_timestamp()
+            "SELECT l.owner, l.grpc_url, l.http_url, COALESCE(v.is_leaving, FALSE)
+             FROM sessions s LEFT JOIN sessions m ON m.id = s.map
+             JOIN leases l ON l.session = COALESCE(m.number, s.number) AND l.expires_at > clock_timestamp()
              LEFT JOIN servers v ON v.name = l.owner WHERE s.id = $1",
         )
         .bind(id)

@@ -78,25 +78,6 @@ impl Store {
         Ok(self.select_keyframes(session, id, id, 1).await?.pop())
     }
 
-    /// The image of a keyframe; `None` if it was not kept.
-    ///
-    /// # Errors
-    /// [`StoreError::SessionNotFound`].
-    pub async fn keyframe_image(
-        &self,
-        session: &str,
-        id: KeyframeId,
-    ) -> Result<Option<StoredImage>, StoreError> {
-        let mut reader = self.reader().await?;
-        let number = map_number(&mut reader, session).await?;
-        let row = query("SELECT media_type, bytes FROM keyframe_images WHERE session = $1 AND keyframe = $2")
-            .bind(number)
-            .bind(keyframe_column(id)?)
-            .fetch_optional(&mut reader)
-            .await?;
-        row.map(|row| Ok(StoredImage { media_type: row.try_get(0)?, bytes: row.try_get(1)? })).transpose()
-    }
-
     async fn select_keyframes(
         &self,
         session: &str,

@@ -66,6 +66,7 @@ mod frames;
 #[cfg(fuzzing)]
 pub mod fuzzing;
 mod graph;
+mod images;
 mod keyframes;
 mod lease;
 mod lines;
@@ -98,6 +99,7 @@ pub use error::StoreError;
 pub use fleet::{Holder, Load, ServerRecord};
 pub use frames::{FrameEntry, FramePlace};
 pub use graph::{Covisibility, SharedLandmarks};
+pub use images::{Collected, ObjectOptions, Objects};
 pub use keyframes::{KeyframeRecord, StoredImage};
 pub use lease::Owner;
 pub use lines::LineQuery;

@@ -2,6 +2,7 @@
 
 use crate::StoreError;
 use crate::engine::{Connection, Held, postgres, sqlite};
+use crate::images::Objects;
 use crate::lease::Leases;
 use crate::migrations::SQLITE_MIGRATIONS;
 use crate::place::Place;
@@ -70,6 +71,8 @@ pub struct Store {
     engine: Engine,
     place: Place,
     leases: Leases,
+    /// Where images are; in the database where there is none.
+    pub(crate) objects: Option<Objects>,
 }
 
 #[derive(Clone, Debug)]
@@ -156,7 +159,8 @@ impl Store {
         SQLITE_MIGRATIONS.run(&writer).await.map_err(migration_error)?;
         let readers = sqlite::readers(&path, &options);
         let place = Place::of(&path);
-        Ok(Self { engine: Engine::Sqlite { writer, readers, path }, place, leases: Leases::default() })
+        let engine = Engine::Sqlite { writer, readers, path };
+        Ok(Self { engine, place, leases: Leases::default(), objects: None })
     }
 
     /// Connects to a database of PostgreSQL, such as `postgres://user@host/maps?sslmode=verify-full`, and
@@ -175,7 +179,8 @@ impl Store {
     /// As [`Self::connect`].
     pub async fn connect_beside(url: &str, options: StoreOptions) -> Result<Self, StoreError> {
         let pools = postgres::Pools::open(url, &options).await?;
-        Ok(Self { engine: Engine::Postgres(pools), place: Place::elsewhere(), leases: Leases::default() })
+        let engine = Engine::Postgres(pools);
+        Ok(Self { engine, place: Place::elsewhere(), leases: Leases::default(), objects: None })
     }
 
     async fn cleared(self) -> Result<Self, StoreError> {
@@ -194,7 +199,7 @@ impl Store {
         let n_readers = StoreOptions::default().n_readers;
         let pool = || SqlitePoolOptions::new().max_connections(n_readers).connect_lazy_with(options.clone());
         let engine = Engine::Sqlite { writer: pool(), readers: pool(), path: path.to_owned() };
-        Self { engine, place: Place::of(path), leases: Leases::default() }
+        Self { engine, place: Place::of(path), leases: Leases::default(), objects: None }
     }
 
     /// Ends the connections of a store that only reads.

@@ -24,7 +24,7 @@ impl Interface {
 
     /// The end of an answer that is under way: trailers with why, or, where HTTP has no words for it, the end
     /// of the connection.
-    fn last_frame(self, error: ApiError) -> Result<Frame<Bytes>, axum::Error> {
+    pub fn last_frame(self, error: ApiError) -> Result<Frame<Bytes>, axum::Error> {
         match self {
             Self::Http => Err(axum::Error::new(error)),
             Self::Grpc => {
@@ -87,14 +87,14 @@ impl http_body::Body for Until {
         let Some(inner) = &mut this.inner else { return Poll::Ready(None) };
         let why = this.end.poll(cx);
         let may_end = this.interface == Interface::Http || this.messages.is_between();
-        if why.is_none() || !may_end {
-            if let Poll::Ready(frame) = Pin::new(inner).poll_frame(cx) {
-                match &frame {
-                    Some(Ok(frame)) => frame.data_ref().into_iter().for_each(|data| this.messages.note(data)),
-                    Some(Err(_)) | None => this.inner = None,
-                }
-                return Poll::Ready(frame);
+        if (why.is_none() || !may_end)
+            && let Poll::Ready(frame) = Pin::new(inner).poll_frame(cx)
+        {
+            match &frame {
+                Some(Ok(frame)) => frame.data_ref().into_iter().for_each(|data| this.messages.note(data)),
+                Some(Err(_)) | None => this.inner = None,
             }
+            return Poll::Ready(frame);
         }
         let Some(why) = why else { return Poll::Pending };
         this.inner = None;

@@ -17,7 +17,8 @@ use axum::http::request::Parts;
 use axum::http::uri::PathAndQuery;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, Version};
 use axum::response::Response;
-use http_body_util::BodyExt;
+use futures_util::StreamExt;
+use http_body_util::{BodyExt, BodyStream, StreamBody};
 use hyper::body::Incoming;
 use hyper::client::conn::{http1, http2};
 use hyper::upgrade::OnUpgrade;
@@ -104,13 +105,14 @@ impl Forward<'_> {
         if response.status() == StatusCode::SWITCHING_PROTOCOLS {
             return Ok(switched(response, driver, upgrade, ending));
         }
+        let server = server.clone();
         let mut response = response.map(|body| {
-            // The connection lasts as long as its answer is read.
-            let body = Body::new(body.map_frame(move |frame| {
+            let frames = BodyStream::new(body).map(move |frame| {
+                // The connection lasts as long as its answer is read.
                 let _open = &driver;
-                frame
-            }));
-            until(body, interface, ending)
+                frame.or_else(|error| interface.last_frame(unreachable(&server, interface, &error)))
+            });
+            until(Body::new(StreamBody::new(frames)), interface, ending)
         });
         remove_those_of_connection(response.headers_mut());
         Ok(response)

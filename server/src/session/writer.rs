@@ -10,7 +10,7 @@ use super::frame::SentImage;
 use super::images::to_file;
 use super::updates::{Bounds, Update, Updates};
 use crate::config::SessionConfig;
-use crate::error::ApiError;
+use crate::error::{ApiError, ErrorCode};
 use slam::MapUpdate;
 use slam::map::{CameraId, KeyframeId};
 use std::collections::BTreeMap;
@@ -129,9 +129,11 @@ impl Outbox {
         self.saved.borrow().durable_sequences.get(&camera).copied()
     }
 
-    /// Why saving fails at present, if it does.
+    /// Why saving fails at present, if it does. Not while only images cannot be brought to the object store:
+    /// frames go on, `durable_sequence` stands still, and images beyond those that may wait are left out.
     pub fn failure(&self) -> Option<ApiError> {
         let failure = self.saved.borrow().failure.clone();
+        let failure = failure.filter(|failure| failure.code != ErrorCode::ObjectsFailed);
         failure.or_else(|| self.saved.has_changed().is_err().then(ended_early))
     }
 
@@ -246,7 +248,6 @@ async fn save(sink: &impl Sink, batch: &Batch) -> Result<(), ApiError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::error::ErrorCode;
     use slam::Map;
     use slam::map::{FrameRecord, FrameState, MapChanges};
     use std::sync::Mutex;
@@ -261,6 +262,7 @@ mod tests {
     struct Fake {
         transactions: Mutex<Vec<Vec<u64>>>,
         full: AtomicBool,
+        away: AtomicBool,
         slow: AtomicBool,
         go: Notify,
     }
@@ -272,6 +274,9 @@ mod tests {
             }
             if self.0.full.load(Ordering::SeqCst) {
                 return Err(ApiError::new(ErrorCode::StorageFull, "full"));
+            }
+            if self.0.away.load(Ordering::SeqCst) {
+                return Err(ApiError::new(ErrorCode::ObjectsFailed, "away"));
             }
             let sequences = update.frames.iter().map(|frame| frame.sequence).collect();
             self.0.transactions.lock().unwrap().push(sequences);
@@ -357,6 +362,20 @@ mod tests {
         assert!(outbox.failure().is_none());
         outbox.close();
         tokio::time::timeout(Duration::from_secs(5), task).await.unwrap().unwrap();
+    }
+
+    #[tokio::test]
+    async fn frames_go_on_while_only_the_object_store_is_away() {
+        let sink = FakeSink::default();
+        sink.0.away.store(true, Ordering::SeqCst);
+        let (outbox, _task) = start(sink.clone(), Some(6), false, RETRY);
+        outbox.push(update(7), Vec::new());
+        assert_eq!(outbox.flush().await.unwrap_err().code, ErrorCode::ObjectsFailed);
+        assert!(outbox.failure().is_none());
+        assert_eq!(outbox.durable_sequence(), Some(6));
+        sink.0.away.store(false, Ordering::SeqCst);
+        outbox.flush().await.unwrap();
+        assert_eq!(outbox.durable_sequence(), Some(7));
     }
 
     /// The disk's driver is broken in a way that nobody expected.

@@ -178,7 +178,15 @@ mod postgres {
         let promised = answers.last().and_then(|answer| answer.durable_sequence);
         assert!(promised.is_some());
         let Pair { url, one, other, mut client_of_other, world, .. } = pair;
+        let request = v1::WatchMapRequest { session_id: "room".into() };
+        let mut events = client_of_other.watch_map(request).await.unwrap().into_inner();
         one.kill();
+        let status = loop {
+            if let Err(status) = events.message().await {
+                break status;
+            }
+        };
+        assert_eq!((status.code(), reason(&status).0.as_str()), (Code::Unavailable, "OWNER_UNREACHABLE"));
         let (mut frames, refused, waited) = open_in_time(&mut client_of_other, "room").await;
         assert!(
             !refused.is_empty() && refused.iter().all(|reason| reason == "OWNER_UNREACHABLE"),

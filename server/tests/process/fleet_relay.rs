@@ -255,4 +255,33 @@ mod postgres {
         }
         assert!(roomy.terminate() && trusting.terminate() && wary.terminate());
     }
+
+    /// Median time from a frame of 640 × 480 pixels to its answer, where that is only that it is of another
+    /// camera.
+    async fn median_exchange(stream: &mut FrameStream) -> Duration {
+        let image = tests::raw_gray(640, 480, &vec![0; 640 * 480]);
+        let mut times = Vec::new();
+        for sequence in 0..200 {
+            let begun = Instant::now();
+            stream.exchange(tests::frame(1000 + sequence, image.clone())).await.unwrap();
+            times.push(begun.elapsed());
+        }
+        times.sort();
+        times[times.len() / 2]
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    #[ignore = "measures: the way through a second server; needs PostgreSQL"]
+    async fn what_passing_on_costs_a_frame() {
+        let mut pair = Pair::start().await;
+        let mut frames = FrameStream::open(&mut pair.client, open_message("room")).await.unwrap();
+        let direct = median_exchange(&mut frames).await;
+        frames.finish().await.unwrap();
+        let mut frames = FrameStream::open(&mut pair.client_of_other, open_message("room")).await.unwrap();
+        let passed = median_exchange(&mut frames).await;
+        frames.finish().await.unwrap();
+        eprintln!("a frame of 307 kB and its answer: {direct:.2?} directly, {passed:.2?} passed on");
+        assert!(passed < direct + Duration::from_millis(100));
+        assert!(pair.one.terminate() && pair.other.terminate());
+    }
 }

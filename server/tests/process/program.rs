@@ -23,8 +23,13 @@ impl ServerProcess {
 
     /// As [`Self::start`], with more arguments or another environment.
     pub fn start_with(data_dir: &Path, change: impl FnOnce(&mut Command)) -> Self {
-        let mut command = Command::new(SERVER);
-        command.args(["--grpc-addr", "127.0.0.1:0", "--http-addr", "127.0.0.1:0", "--data-dir"]);
+        Self::start_at("127.0.0.1", data_dir, change)
+    }
+
+    /// As [`Self::start_with`], at another of the machine's addresses.
+    pub fn start_at(host: &str, data_dir: &Path, change: impl FnOnce(&mut Command)) -> Self {
+        let (mut command, address) = (Command::new(SERVER), format!("{host}:0"));
+        command.args(["--grpc-addr", &address, "--http-addr", &address, "--data-dir"]);
         change(command.arg(data_dir));
         let mut child =
             command.env("RUST_LOG", "info").stderr(Stdio::piped()).spawn().expect("the server starts");

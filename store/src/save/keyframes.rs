@@ -1,6 +1,5 @@
 //! Keyframes of an update, and what removed ones hang on.
 
-use super::KeyframeImage;
 use crate::StoreError;
 use crate::blob::encode_features;
 use crate::cameras::MapSessions;
@@ -75,8 +74,8 @@ pub(super) async fn copy_images(
 ) -> Result<(), StoreError> {
     for (there, here) in keyframes {
         query(
-            "INSERT INTO keyframe_images (session, keyframe, media_type, bytes)
-             SELECT $1, $2, media_type, bytes FROM keyframe_images WHERE session = $3 AND keyframe = $4
+            "INSERT INTO keyframe_images (session, keyframe, media_type, bytes, object, object_bytes)
+             SELECT $1, $2, media_type, bytes, object, object_bytes FROM keyframe_images WHERE session = $3 AND keyframe = $4
              AND EXISTS (SELECT 1 FROM keyframes WHERE session = $1 AND id = $2)",
         )
         .bind(into)
@@ -159,28 +158,6 @@ pub(super) async fn write_features(
                 .execute(&mut *connection)
                 .await?;
         }
-    }
-    Ok(())
-}
-
-/// Writes images of keyframes that are in the map.
-pub(super) async fn write_images(
-    connection: &mut Connection,
-    session: i64,
-    update: &MapUpdate,
-    images: &[KeyframeImage],
-) -> Result<(), StoreError> {
-    for image in images.iter().filter(|image| update.map.keyframe(image.keyframe).is_some()) {
-        query(
-            "INSERT INTO keyframe_images (session, keyframe, media_type, bytes) VALUES ($1, $2, $3, $4)
-             ON CONFLICT (session, keyframe) DO UPDATE SET media_type = excluded.media_type, bytes = excluded.bytes",
-        )
-        .bind(session)
-        .bind(keyframe_column(image.keyframe)?)
-        .bind(&image.media_type)
-        .bind(image.bytes.as_slice())
-        .execute(&mut *connection)
-        .await?;
     }
     Ok(())
 }

@@ -8,6 +8,7 @@ mod primitives;
 
 use crate::cameras::{MapSessions, write_map_counts};
 use crate::engine::{Connection, MultiRow, ids, postgres, query};
+use crate::images::{Placed, write_images};
 use crate::number::to_column;
 use crate::open::WriteTransaction;
 use crate::pose::finite_pose_columns;
@@ -60,7 +61,7 @@ impl Store {
     /// the same update, alone or merged with later ones, can be tried again.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`], [`StoreError::Io`], [`StoreError::Busy`] and
+    /// [`StoreError::DiskFull`], [`StoreError::Io`], [`StoreError::Busy`], [`StoreError::Objects`] and
     /// [`StoreError::Unreachable`] may pass; the others will not. After [`StoreError::Gone`] the update is in
     /// a file that nobody will find again.
     pub async fn save_update(
@@ -70,6 +71,8 @@ impl Store {
         status: SessionStatus,
         images: &[KeyframeImage],
     ) -> Result<Committed, StoreError> {
+        // Before the transaction, which must not wait for it.
+        let images = &self.place_images(update, images).await?;
         let mut outcome = self.write_update(session, update, status, images).await;
         for _ in 0..CONFLICT_RETRIES {
             if !outcome.as_ref().is_err_and(postgres::is_conflict) {
@@ -112,7 +115,7 @@ impl Store {
         session: &str,
         update: &MapUpdate,
         status: SessionStatus,
-        images: &[KeyframeImage],
+        images: &[Placed<'_>],
     ) -> Result<Committed, StoreError> {
         let mut transaction = self.begin_write().await?;
         let committed = write_update(&mut transaction, session, update, status, images).await?;
@@ -127,7 +130,7 @@ async fn write_update(
     session: &str,
     update: &MapUpdate,
     status: SessionStatus,
-    images: &[KeyframeImage],
+    images: &[Placed<'_>],
 ) -> Result<Committed, StoreError> {
     let (number, before) = transaction.hold(session).await?;
     let sessions = MapSessions::read(transaction, (number, &before)).await?;
@@ -136,7 +139,7 @@ async fn write_update(
     landmarks::delete::<LineLandmark>(transaction, number, update).await?;
     keyframes::write_keyframes(transaction, number, update, &sessions).await?;
     keyframes::write_features(transaction, number, update).await?;
-    keyframes::write_images(transaction, number, update, images).await?;
+    write_images(transaction, number, images).await?;
     primitives::write_vanishing(transaction, number, update).await?;
     landmarks::write::<PointLandmark>(transaction, number, update).await?;
     landmarks::write::<LineLandmark>(transaction, number, update).await?;

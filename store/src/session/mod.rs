@@ -201,7 +201,7 @@ impl Store {
         let n_bytes: i64 = query(
             "SELECT CAST(coalesce(sum(
                  (SELECT coalesce(sum(length(features)), 0) FROM keyframe_features WHERE session = number) +
-                 (SELECT coalesce(sum(length(bytes)), 0) FROM keyframe_images WHERE session = number) +
+                 (SELECT coalesce(sum(length(bytes) + object_bytes), 0) FROM keyframe_images WHERE session = number) +
                  (SELECT coalesce(sum(length(readings)), 0) FROM motion WHERE session = number)), 0) AS BIGINT)
              FROM sessions WHERE id >= $1 AND id < $2",
         )

@@ -28,6 +28,7 @@ mod durability;
 mod graph;
 mod lines;
 mod motion;
+mod objects;
 mod on_postgres;
 mod primitives;
 mod queries;

@@ -69,7 +69,7 @@ class RefusedError(MonoslamError):
 
     @property
     def is_passing(self) -> bool:
-        of_server = ("SHUTTING_DOWN", "STORAGE_FAILED", "UNAVAILABLE")
+        of_server = ("SHUTTING_DOWN", "STORAGE_FAILED", "OBJECTS_FAILED", "UNAVAILABLE")
         of_fleet = ("OWNED_ELSEWHERE", "OWNER_UNREACHABLE", "LEASE_LOST")
         return self.code in of_server or self.code in of_fleet
 

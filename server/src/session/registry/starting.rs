@@ -109,8 +109,7 @@ impl Registry {
         }
         let (outbox, saving) = writer::start(
             context.sink(record.state, watchers.clone()),
-            record.options.deterministic == Some(true),
-            self.config.get().sessions.save_retry(),
+            writer::Pace::of(&self.config.get().sessions, record.options.deterministic == Some(true)),
         );
         let ending = Ending { saving, store: self.store.clone(), runtime: Handle::current() };
         Ok(MapHost::new(record, map, outbox, watchers, Some(ending)))
