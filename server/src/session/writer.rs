@@ -368,14 +368,14 @@ mod tests {
     async fn frames_go_on_while_only_the_object_store_is_away() {
         let sink = FakeSink::default();
         sink.0.away.store(true, Ordering::SeqCst);
-        let (outbox, _task) = start(sink.clone(), Some(6), false, RETRY);
+        let (outbox, _task) = start(sink.clone(), JOINED);
         outbox.push(update(7), Vec::new());
         assert_eq!(outbox.flush().await.unwrap_err().code, ErrorCode::ObjectsFailed);
         assert!(outbox.failure().is_none());
-        assert_eq!(outbox.durable_sequence(), Some(6));
+        assert_eq!(outbox.durable_sequence(CameraId::default()), None);
         sink.0.away.store(false, Ordering::SeqCst);
         outbox.flush().await.unwrap();
-        assert_eq!(outbox.durable_sequence(), Some(7));
+        assert_eq!(outbox.durable_sequence(CameraId::default()), Some(7));
     }
 
     /// The disk's driver is broken in a way that nobody expected.
