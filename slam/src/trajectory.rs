@@ -45,8 +45,8 @@ impl TrajectoryLog {
         self.push(record, is_young);
     }
 
-    /// Notes a frame whose image is that of the last one noted: it is where that is, to the last bit, and stays
-    /// with it.
+    /// Notes a frame whose image is that of the last one noted: it is where that is, to the last bit, and
+    /// stays with it.
     pub fn repeat(&mut self, record: FrameRecord, is_young: bool) {
         let last = self.last.as_ref().filter(|last| last.pose.is_some() == record.pose.is_some());
         let Some(last) = last else { return self.push(record, is_young) };

@@ -1,5 +1,5 @@
-//! Recordings as people make them, by phone, drone and car, of weak texture, and those of the laboratory: from
-//! which frame on the engine has a pose, how many frames get one, and how wrong they are. Folders of
+//! Recordings as people make them, by phone, drone and car, of weak texture, and those of the laboratory:
+//! from which frame on the engine has a pose, how many frames get one, and how wrong they are. Folders of
 //! docs/datasets.md.
 
 use recordings::{EvaluationOptions, Recording, StampedPose, Trajectory, evaluate, find_folder};

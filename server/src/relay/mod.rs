@@ -6,9 +6,8 @@
 //! and lets the request through, or sends it there and its answer back, frame by frame (`forward`). It knows
 //! nothing of what requests mean besides.
 //!
-//! A request is passed on once: who gets one with a mark ([`crate::access::Passed`]) answers it or refuses
-//! it,
-//! `OWNED_ELSEWHERE`.
+//! A request is passed on once: who gets one with a mark ([`crate::access::Passed`]) answers it or refuses it
+//! with `OWNED_ELSEWHERE`.
 
 mod dial;
 mod forward;

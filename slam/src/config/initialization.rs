@@ -34,10 +34,10 @@ pub struct InitializationConfig {
     /// A second motion whose cost over all matches is below this many times the best one's makes the pair
     /// ambiguous. Default 1.3.
     pub min_runner_up_cost_ratio: f64,
-    /// A second motion whose cost over all matches is above the best one's by less than this, χ², makes the pair
-    /// ambiguous too, at first; later less is asked for, as of the direction. Default 25: among few matches the
-    /// errors of some, which are not independent, may speak for the wrong one of the two motions that a plane
-    /// allows. True maps led by 30 and more, a wrong one by 16.
+    /// A second motion whose cost over all matches is above the best one's by less than this, χ², makes the
+    /// pair ambiguous too, at first; later less is asked for, as of the direction. Default 25: among few
+    /// matches the errors of some, which are not independent, may speak for the wrong one of the two motions
+    /// that a plane allows. True maps led by 30 and more, a wrong one by 16.
     pub min_runner_up_lead: f64,
     /// Least parallax, reached by the widest fiftieth point, degrees. Default 1.0: below it depth is noise.
     pub min_parallax_deg: f64,

@@ -196,8 +196,8 @@ impl Initializer {
         (n > 0).then(|| self.hypotheses[self.n_waited % n])
     }
 
-    /// How well the direction of motion must be known, and how far a motion must lead. A camera that has moved for
-    /// long without a good pair will hardly offer a better one, so less is asked for with time.
+    /// How well the direction of motion must be known, and how far a motion must lead. A camera that has
+    /// moved for long without a good pair will hardly offer a better one, so less is asked for with time.
     fn relaxed(&self) -> InitializationConfig {
         let patience = self.config.patience_views.max(1) as f64;
         let relaxation = (1.0 + self.n_waited as f64 / patience).min(MAX_RELAXATION);

@@ -122,8 +122,8 @@ fn is_drift(
 /// objection.
 ///
 /// A primitive that both sides show says by itself how far the attitude has drifted: each must be turned onto
-/// itself, so that a room is not taken for itself turned about its vertical. Others are compared with the nearest
-/// of the other side.
+/// itself, so that a room is not taken for itself turned about its vertical. Others are compared with the
+/// nearest of the other side.
 pub(super) fn directions_agree(
     map: &Map,
     current: &Keyframe,

@@ -1,8 +1,9 @@
-//! Images that are sent again: a camera had no new one yet, or a video shows more frames than its camera took.
+//! Images that are sent again: a camera had no new one yet, or a video shows more frames than its camera
+//! took.
 //!
-//! Taken for the view of a camera that stands still, a repeated image would have the camera stop and leap: the
-//! pose that is expected next, and with a rolling shutter every velocity, would be wrong. So it is answered with
-//! what the image came to when it was new, and otherwise passed over. [method: Repeated images]
+//! Taken for the view of a camera that stands still, a repeated image would have the camera stop and leap:
+//! the pose that is expected next, and with a rolling shutter every velocity, would be wrong. So it is
+//! answered with what the image came to when it was new, and otherwise passed over. [method: Repeated images]
 
 use super::Pipeline;
 use crate::clock::Stopwatch;
