@@ -4,6 +4,7 @@
 mod correspondence;
 mod matching;
 mod motion;
+mod pace;
 mod third_view;
 mod two_view;
 mod unrolling;
@@ -16,6 +17,7 @@ use crate::report::InitializationWait;
 use crate::rolling_shutter::RollingShutter;
 use geometry::nalgebra::Vector3;
 use geometry::{CameraCorrection, Pose};
+use pace::Pace;
 use rand::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
@@ -45,6 +47,7 @@ pub(crate) struct Initializer {
     views: VecDeque<View>,
     /// Views tried since the start.
     n_waited: usize,
+    pace: Pace,
     rng: ChaCha8Rng,
     threading: Threading,
     /// Cameras to be tried in turn, view by view; none where the camera is known.
@@ -62,6 +65,7 @@ impl Initializer {
             config: config.initialization.clone(),
             views: VecDeque::new(),
             n_waited: 0,
+            pace: Pace::default(),
             rng: ChaCha8Rng::seed_from_u64(config.seed),
             threading: config.threading,
         }
@@ -73,17 +77,23 @@ impl Initializer {
         if n_keypoints < n_required {
             return Err(InitializationWait::TooFewFeatures { n_keypoints, n_required });
         }
-        let attempt = self.attempt(&view);
-        self.n_waited += 1;
-        if attempt.is_err() {
+        // Where cameras are tried in turn, none is to miss its turn.
+        let passed = self.pace.wait_at(self.n_waited).filter(|_| self.hypotheses.is_empty());
+        let attempt = passed.map_or_else(|| self.attempt(&view), Err);
+        if let Err(wait) = &attempt {
+            if passed.is_none() {
+                self.pace.note(self.n_waited, *wait);
+            }
             self.keep(view);
         }
+        self.n_waited += 1;
         attempt
     }
 
     /// Begins anew with the next view.
     pub fn forget_views(&mut self) {
         self.views.clear();
+        self.pace = Pace::default();
     }
 
     /// Keeps a view. When there are too many every second one goes, so that a slow camera can still look far
