@@ -200,7 +200,10 @@ fn a_camera_at_rest_waits_and_says_why() {
         matches!(outcome, TrackingOutcome::Initialising(InitializationWait::TooLittleParallax { .. }))
     };
     // An image that comes again says what it said when it was new, until the camera must be at rest.
-    assert!(outcomes[..4].iter().all(|outcome| *outcome == outcomes[0]) && waits(&outcomes[4]), "{outcomes:?}");
+    assert!(
+        outcomes[..4].iter().all(|outcome| *outcome == outcomes[0]) && waits(&outcomes[4]),
+        "{outcomes:?}"
+    );
 }
 
 #[test]

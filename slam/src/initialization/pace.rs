@@ -4,8 +4,8 @@ use crate::report::InitializationWait;
 
 /// Share of the views until the parallax should suffice, at the pace it has grown, that are passed over.
 const PASSED_SHARE: f64 = 0.5;
-/// Views in a row that are passed over at most: a tenth of a second of video, by which a map begins later where
-/// the camera has begun to move fast.
+/// Views in a row that are passed over at most: a tenth of a second of video, by which a map begins later
+/// where the camera has begun to move fast.
 const MAX_PASSED: f64 = 3.0;
 
 /// The parallax of a slow camera grows from view to view. Where it is far from what a map needs, a search for
