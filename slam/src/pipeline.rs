@@ -252,7 +252,7 @@ impl Pipeline {
     /// While a further submap is young, looks for its frames in the others, and goes on there if one is
     /// found.
     fn find_elsewhere(&mut self, view: &View) -> Option<Tracked> {
-        if !self.mapping_enabled || !self.submaps.is_search_due(&self.map) {
+        if !self.mapping_enabled || !self.submaps.is_search_due(&self.map, self.camera_id()) {
             return None;
         }
         let found = self.tracker.find_elsewhere(view, &self.map, self.submaps.current())?;

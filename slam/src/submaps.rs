@@ -1,7 +1,7 @@
 //! Which submap the camera is followed in, and when another is begun in its place or beside it.
 
 use crate::config::SubmapConfig;
-use crate::map::{Map, SubmapId};
+use crate::map::{CameraId, Keyframe, Map, SubmapId};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// What becomes of a submap in which the camera was lost.
@@ -94,10 +94,13 @@ impl SubmapPolicy {
         map.keyframes_of(self.current).take(min_keyframes).count() < min_keyframes
     }
 
-    /// Whether this frame of a young submap should be looked for in the others: counts the frames that could
-    /// be.
-    pub fn is_search_due(&mut self, map: &Map) -> bool {
-        let has_others = map.keyframes().any(|keyframe| keyframe.submap != self.current);
+    /// Whether this frame of a young submap should be looked for in the others, where this camera has been:
+    /// counts the frames that could be. A submap of its own is not given up for one that only other cameras
+    /// have made, which may be as young: those are joined once both show the same place.
+    pub fn is_search_due(&mut self, map: &Map, camera: CameraId) -> bool {
+        let is_own_before =
+            |keyframe: &Keyframe| keyframe.submap != self.current && keyframe.camera.id == camera;
+        let has_others = map.keyframes().any(is_own_before);
         if !has_others || !self.is_young(map) {
             return false;
         }

@@ -211,14 +211,23 @@ impl Map {
     }
 
     /// Keyframes made since `id`, up to and with `newest`, by the camera that took `id`; counting ends beyond
-    /// `limit`. Of removed ones nobody knows whose they were, and they count.
+    /// `limit`. A removed one is the camera's whose keyframe it hangs on. Of numbers that are not in the map
+    /// any more, or not yet, nobody knows whose they are: they count where no other camera is about.
     pub(crate) fn age(&self, id: KeyframeId, newest: KeyframeId, limit: u64) -> u64 {
-        let camera = self.keyframe(id).or_else(|| self.keyframe(newest)).map(|keyframe| keyframe.camera.id);
-        let is_of_another =
-            |idx: &usize| self.keyframes.get(*idx).is_some_and(|other| Some(other.camera.id) != camera);
-        let since = (id.index() + 1..newest.index() + 1).rev();
-        let counted = since.filter(|idx| !is_of_another(idx));
-        counted.take(limit.saturating_add(1) as usize).count() as u64
+        let camera_of = |id: KeyframeId| self.anchor_of(id).map(|keyframe| keyframe.camera.id);
+        let camera = camera_of(id).or_else(|| camera_of(newest));
+        let (mut n_own, mut n_unknown, mut is_shared) = (0, 0, false);
+        for idx in (id.index() + 1..newest.index() + 1).rev() {
+            match camera_of(KeyframeId::from_index(idx)) {
+                None => n_unknown += 1,
+                other if other == camera => n_own += 1,
+                Some(_) => is_shared = true,
+            }
+            if n_own + if is_shared { 0 } else { n_unknown } > limit {
+                break;
+            }
+        }
+        n_own + if is_shared { 0 } else { n_unknown }
     }
 
     /// Whether the images were found to contradict the calibration by more than it may be corrected.

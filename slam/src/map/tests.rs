@@ -188,3 +188,25 @@ fn a_primitive_reaches_beyond_sight_once_a_key_frame_that_shares_no_landmark_sho
     assert_eq!([1, 2, 3, 4].map(&mut reaches_with), [false, false, false, true]);
     assert!(!map.primitives_tie_beyond_sight(SubmapId(1)));
 }
+
+#[test]
+fn what_one_camera_made_does_not_grow_old_by_the_keyframes_of_another() {
+    let of_second = |number: u64, parent: Option<u64>| {
+        let camera = MapCamera { id: CameraId(1), ..MapCamera::default() };
+        Keyframe { camera, submap: SubmapId(1), ..keyframe(number, parent) }
+    };
+    let mut map = Map::default();
+    map.add_keyframe(keyframe(1, None));
+    map.add_keyframe(keyframe(2, Some(1)));
+    (3..6).for_each(|number| map.add_keyframe(of_second(number, (number > 3).then(|| number - 1))));
+    map.remove_keyframe(keyframe_id(4), keyframe_id(3));
+    let age = |map: &Map, id, newest| map.age(keyframe_id(id), keyframe_id(newest), 10);
+    // 6 was given out and is not here yet.
+    assert_eq!(age(&map, 2, 6), 0, "removed ones of the other camera do not count");
+    assert_eq!(age(&map, 3, 5), 2, "a removed one of its own does");
+    let mut alone = Map::default();
+    (1..4).for_each(|number| alone.add_keyframe(keyframe(number, (number > 1).then(|| number - 1))));
+    alone.remove_keyframe(keyframe_id(2), keyframe_id(1));
+    assert_eq!((age(&alone, 1, 3), age(&alone, 1, 5)), (2, 4), "a camera alone counts every number");
+    assert_eq!(alone.age(keyframe_id(1), keyframe_id(5), 2), 3, "counting ends beyond the limit");
+}
